@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import scipy.signal
 import scipy.stats
+from benchmarks.recovery.faults import recorded
+from benchmarks.recovery.machines import MACHINES, RATE
 from tests.machines import PROBLEMS, STROKE
 
 import riecjax as rx
@@ -17,6 +19,7 @@ from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
+from riecjax.models.catalogue import find_model
 from riecjax.models.quarter_car.identification import quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import quarter_car_source
 from riecjax.paper.reproduction import identification_record
@@ -268,6 +271,18 @@ def test_friction_and_springs_that_are_missing_are_no_loops(name, noise):
 def test_a_right_model_has_no_loop(noise):
     record = HYSTERETIC.record(noise, 5, drive=2)
     assert left(HYSTERETIC.model, record).equations[0].loop is None
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"), [("pendulum", 1228), *nightly([("axis", 1062), ("dry", 1019), ("car", 1210)])]
+)
+def test_what_functions_make_worse_is_no_loop(name, seed):
+    """Sound recordings: functions that are fitted to one half leave more than all of the other."""
+    machine = MACHINES[name]
+    signals = recorded(machine, None, "", seed, 0.01)[0][1]
+    record = rx.Record.from_samples(signals, time_step=1 / RATE)
+    tests = left(find_model(machine.model), record)
+    assert [one.name for one in tests.equations if one.loop is not None] == []
 
 
 @pytest.mark.raises_finding("residual_follows_signal")

@@ -618,7 +618,8 @@ def loop_of(
         rows = np.stack(columns, axis=1)
         grams = [rows[part == i].T @ rows[part == i] for i in (0, 1)]
         base = [1 + i for i, kind in enumerate(kinds) if kind is None]
-        before = _left(grams, base)
+        # Functions that are fitted to one half may leave more of the other than there was.
+        before = min(_left(grams, base), sum(float(gram[0, 0]) for gram in grams))
         if not (before > 0 and energy > 0):
             continue
         offered = ((1 + i, kind) for i, kind in enumerate(kinds) if kind is not None)
