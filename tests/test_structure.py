@@ -17,13 +17,13 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 49_150,
+    "src lines": 48_750,
     "src modules": 201,
-    "src statements": 23_550,
-    "src literals": 1_580,
+    "src statements": 23_300,
+    "src literals": 1_565,
     "lines of commands and settings": 2_300,
-    "tests lines": 26_400,
-    "benchmarks lines": 8_600,
+    "tests lines": 26_450,
+    "benchmarks lines": 8_620,
     "README lines": 150,
 }
 LEAST_PROSE = 17
@@ -33,16 +33,16 @@ MOST_IMPORTS = 12
 MANY_PARAMETERS: dict[str, int] = {}
 MANY_IMPORTS = {
     "riecjax.assessment.assess": 26,
-    "riecjax.assessment.output_error_search": 15,
+    "riecjax.assessment.output_error_search": 14,
     "riecjax.discovery.discover": 22,
-    "riecjax.estimation.check": 21,
-    "riecjax.estimation.identify": 23,
-    "riecjax.records.recording": 17,
+    "riecjax.estimation.check": 20,
+    "riecjax.estimation.identify": 22,
+    "riecjax.records.recording": 14,
     "riecjax.refinement.output_error": 14,
     "riecjax.reporting.result_figures": 13,
-    "riecjax.reporting.result_files": 17,
+    "riecjax.reporting.result_files": 13,
     "riecjax.reporting.views": 20,
-    "riecjax.summaries.one_pass": 16,
+    "riecjax.summaries.one_pass": 15,
     "riecjax.summaries.summarise": 15,
     "riecjax.validation.equation_errors": 13,
     "riecjax.validation.sweep": 17,
