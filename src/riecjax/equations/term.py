@@ -399,6 +399,7 @@ def reversing_states(
     return tuple(state for state in states if state in jumping)
 
 
+@np.errstate(all="ignore")  # what is not finite does not jump
 def _jumping(
     of: Expression,
     functions: Callable[[Array], Array] | None,
