@@ -124,8 +124,7 @@ def in_double(function: Callable[..., Tree], *given: Any) -> Tree:
     NumPy's."""
     if are_traced(given):
         return function(*given)
-    # While something else is traced, what is known is not traced with it.
-    with jax.ensure_compile_time_eval(), jax.enable_x64(True):
+    with jax.enable_x64(True):
         return jax.tree.map(on_host, function(*given))
 
 

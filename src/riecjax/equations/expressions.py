@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import numpy as np
 
 from riecjax import arrays as xp
@@ -78,7 +79,8 @@ def read_expression(expression: Expression, signals: Signals) -> None:
         return
     probe = Signals(dict.fromkeys(signals.data, np.full(2, 0.5)))
     probe.read = signals.read
-    with users_code(f"the expression {label_of(expression)}"):
+    # While something else is traced, what is known is not traced with it.
+    with users_code(f"the expression {label_of(expression)}"), jax.ensure_compile_time_eval():
         called(expression, probe)
 
 
