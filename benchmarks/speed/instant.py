@@ -233,12 +233,13 @@ def medians(turns: Sequence[dict[str, dict[str, float]]]) -> dict[str, dict[str,
 
 
 def page(measured: dict[str, dict[str, dict[str, float]]]) -> str:
-    """In Markdown: seconds first and again, what is asked, and what the other commit took."""
+    """In Markdown: seconds first and again, what is asked, and what the other commit took, each in
+    imports of the run that it was measured in."""
     ours, theirs = measured["ours"], measured.get("before", {})
     bare = ours[BARE]["first"]
 
-    def told(figures: dict[str, float], case: Case) -> str:
-        pair = (figures["first"], figures["again"])
+    def told(of: dict[str, dict[str, float]], name: str, case: Case) -> str:
+        pair, bare = (of[name]["first"], of[name]["again"]), of[BARE]["first"]
         if case.in_imports:
             return " / ".join(f"{value / bare:.1f} imports" for value in pair)
         return " / ".join(f"{value:.2g} s" for value in pair)
@@ -254,8 +255,8 @@ def page(measured: dict[str, dict[str, dict[str, float]]]) -> str:
         )
         asked = " / ".join(f"{limit:g}" for limit in case.asked) + unit
         rows.append([
-            case.in_words, told(ours[name], case), asked + ("" if met else ", **not met**"),
-            told(theirs[name], case) if name in theirs else "",
+            case.in_words, told(ours, name, case), asked + ("" if met else ", **not met**"),
+            told(theirs, name, case) if name in theirs else "",
         ])  # fmt: skip
     return table(("", "first / again", "asked", "before"), rows)
 
