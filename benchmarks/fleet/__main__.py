@@ -173,7 +173,7 @@ def words(document: dict[str, Any]) -> str:
         ]
     if (found := document.get("each")) is not None:
         said += [
-            f"\n**Each recording**, of {found['recordings']}, beside other work: to read it and "
+            f"\n**Each recording**, of {found['recordings']}: to read it and "
             f"`identify` from it takes {1e3 * found['identify_seconds']:.0f} ms of one core. In a "
             f"fleet with one worker it takes {1e3 * found['fleet_seconds']:.0f} ms of all "
             f"processes together: their start, checks of sensors, a look for drift, all sums on "
