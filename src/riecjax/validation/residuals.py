@@ -624,7 +624,8 @@ def loop_of(
             continue
         offered = ((1 + i, kind) for i, kind in enumerate(kinds) if kind is not None)
         gained = [(before - _left(grams, [*base, at]), kind) for at, kind in offered]
-        much, kind = max(gained, key=lambda one: one[0])
+        # One that is not finite explains nothing, and hides none of the others.
+        much, kind = max(gained, key=lambda one: np.nan_to_num(one[0]))
         if much > NOTABLE_GAIN * before:
             loops.append(replace(kind, gain=much / before, size=float(np.sqrt(much / energy))))
     return max(loops, key=lambda loop: loop.size, default=None)
