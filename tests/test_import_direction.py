@@ -16,7 +16,7 @@ CORE = ("records", "simulation", "equations", "criteria", "summaries", "uncertai
 """Stages in the order of the data; a module imports from its own or an earlier one."""
 RIM = ("readers", "fleets", "paper", "studies")
 """A foreign distribution could stand in the place of each: they import public names alone."""
-BASE = ("arrays", "errors", "extensions", "findings", "leaves", "linear_algebra", "memory",
+BASE = ("arrays", "errors", "extensions", "findings", "folds", "leaves", "linear_algebra", "memory",
         "public_names", "runtime", "settings", "shows", "standard_output", "tails",
         "whole_files")  # fmt: skip
 """What stands beside the stages: all may import it, and it imports none of them but for types."""

@@ -7,7 +7,8 @@ import scipy.stats
 
 import riecjax as rx
 from riecjax.discovery.candidate import Candidate, Shaped
-from riecjax.discovery.search import RATE, Folds, Search, again
+from riecjax.discovery.search import RATE, Search, again
+from riecjax.folds import Folds
 from riecjax.summaries.normal_equations import NormalEquations
 
 LETTERS = "abcdefgh"

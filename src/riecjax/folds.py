@@ -1,0 +1,148 @@
+"""Blocks of time of one Gram matrix of all columns, and what structures say of those left out.
+
+With M the sums of products of target and columns over one fold and N what sensor noise adds to
+them, C = M - N is that of the signals. A structure is a set of columns. Its coefficients come from
+the sum of C over all folds but one, and are held against the one: v^T C v with v = (1, -theta) is
+what it leaves unexplained of the motion there, v^T M v of the samples, noise included. No sample
+is read, so that a structure costs one solve of p equations a fold.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import scipy.special
+from jaxtyping import Float
+
+from riecjax.linear_algebra import unit_diagonal, unit_scale
+
+if TYPE_CHECKING:
+    from riecjax.summaries.normal_equations import NormalEquations
+
+FOLDS = 20
+"""At most: more would make little difference to what is left out of each fit."""
+COLLINEAR = 1e-6
+"""Least eigenvalue of the columns' correlations, that of one column as many as there are."""
+
+
+class Left(NamedTuple):
+    """What a structure leaves of each fold that it was not fitted to.
+
+    **Fields:** `motion`, of the signals less their noise; `samples`, noise included.
+    """
+
+    motion: Float[np.ndarray, " folds"]
+    samples: Float[np.ndarray, " folds"]
+
+
+LEFT_BY_NONE = Left(np.array([np.inf]), np.zeros(1))
+"""Of columns that cannot be told apart: any others are better."""
+
+
+class Folds(NamedTuple):
+    """Moments of target and columns by folds of time.
+
+    **Fields:** `samples`, and `motion`, the same less what noise adds, shape
+    `(folds, 1 + p, 1 + p)`; `parameters`, names of the p columns.
+    """
+
+    samples: Float[np.ndarray, "folds columns columns"]
+    motion: Float[np.ndarray, "folds columns columns"]
+    parameters: tuple[str, ...]
+
+    @classmethod
+    def of(cls, equations: "NormalEquations", most: int = FOLDS) -> "Folds":
+        """Of normal equations with leading axes `(records, blocks)`, empty blocks left out."""
+        blocks = equations.flattened()
+        used = np.flatnonzero(np.asarray(blocks.count) > 0)
+        count = min(most, used.size)
+        first = -(-np.arange(count) * used.size // max(count, 1))
+        samples, motion = (
+            np.add.reduceat(np.asarray(moments, float)[used], first)
+            for moments in (blocks.moments, blocks.clean)
+        )
+        return cls(samples, motion, equations.parameters)
+
+    @property
+    def number(self) -> int:
+        """Of folds."""
+        return len(self.motion)
+
+    @property
+    def energy(self) -> float:
+        """Of the target, all folds together."""
+        return float(self.samples[:, 0, 0].sum())
+
+    def drawn(self, index: Sequence[int] | np.ndarray) -> "Folds":
+        """These folds instead: one that is drawn several times weighs as often, and is left out as
+        a whole, since its copies would tell of it."""
+        place, times = np.unique(index, return_counts=True)
+        weights = times[:, None, None]
+        return Folds(self.samples[place] * weights, self.motion[place] * weights, self.parameters)
+
+    def columns(self, names: Sequence[str]) -> np.ndarray:
+        """Places of columns, that of the target being 0."""
+        return np.array([1 + self.parameters.index(name) for name in names], int)
+
+    def told_apart(self, names: Sequence[str]) -> bool:
+        """Whether columns are far enough from collinear to have a coefficient each."""
+        at = self.columns(names)
+        gram = self.motion.sum(0)[np.ix_(at, at)]
+        size = np.diagonal(gram)
+        if not np.all(np.isfinite(gram)) or not np.all(size > 0):
+            return False
+        return bool(np.linalg.eigvalsh(unit_diagonal(gram)[0])[0] > COLLINEAR)
+
+    def fitted(self, names: Sequence[str]) -> Float[np.ndarray, " p"]:
+        """Coefficients from all folds."""
+        at, total = self.columns(names), self.motion.sum(0)
+        return _solved(total[np.ix_(at, at)], total[at, 0])
+
+    def left(self, names: Sequence[str]) -> Left:
+        """What is unexplained of each fold by coefficients from all others."""
+        at = np.concatenate([[0], self.columns(names)])
+        motion, samples = (of[:, at[:, None], at] for of in (self.motion, self.samples))
+        others = motion.sum(0) - motion
+        theta = _solved(others[:, 1:, 1:], others[:, 1:, 0])
+        v = np.concatenate([np.ones((self.number, 1)), -theta], axis=1)
+        return Left(*(np.einsum("fi,fij,fj->f", v, of, v) for of in (motion, samples)))
+
+    def chance(self, names: Sequence[str], column: str) -> float:
+        """Probability that a column of a structure that explains nothing is as far from zero.
+
+        By Student's t of its coefficient. With s_f the score of what is the column's own, all
+        others fitted, and g_f its energy in fold f, the coefficient's variance is `sum s^2 / (sum
+        g)^2`, whatever errors are like in each fold. Where a few folds have most of the energy
+        that has few degrees of freedom, and `mean(s^2 / g) / sum g`, which holds where errors are
+        alike all along, has one a fold. The larger of both is taken.
+        """
+        at = self.columns(names)
+        gram, moment = self.motion[:, at[:, None], at], self.motion[:, at, 0]
+        inverse = np.linalg.pinv(gram.sum(0), hermitian=True)
+        own = list(names).index(column)
+        theta = inverse @ moment.sum(0)
+        alone = inverse[:, own] / inverse[own, own]
+        scores = (moment - gram @ theta) @ alone
+        energy = np.einsum("i,fij,j->f", alone, gram, alone)
+        total, freedom = float(energy.sum()), self.number - 1
+        some = energy > 1e-6 * total
+        if not total > 0 or freedom < 1 or not some.any():
+            return 1.0
+        apart = np.sum(scores**2) / total**2
+        alike = np.mean(scores[some] ** 2 / energy[some]) / total
+        error = np.sqrt(max(apart, alike) * self.number / freedom)
+        away = abs(theta[own]) / error if error > 0 else np.inf
+        return float(2 * scipy.special.stdtr(freedom, -away))
+
+
+def _solved(
+    gram: Float[np.ndarray, "*folds p p"], moment: Float[np.ndarray, "*folds p"]
+) -> Float[np.ndarray, "*folds p"]:
+    """Least squares of columns that are scaled to unit length."""
+    scale = unit_scale(np.diagonal(gram, axis1=-2, axis2=-1))
+    scaled = gram * scale[..., :, None] * scale[..., None, :]
+    try:
+        found = np.linalg.solve(scaled, (moment * scale)[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        found = (np.linalg.pinv(scaled) @ (moment * scale)[..., None])[..., 0]
+    return found * scale
