@@ -18,7 +18,7 @@ MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
     "src lines": 48_750,
-    "src modules": 201,
+    "src modules": 205,
     "src statements": 23_300,
     "src literals": 1_565,
     "lines of commands and settings": 2_300,

@@ -8,16 +8,13 @@ is read, so that a structure costs one solve of p equations a fold.
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy.special
 from jaxtyping import Float
 
 from riecjax.linear_algebra import unit_diagonal, unit_scale
-
-if TYPE_CHECKING:
-    from riecjax.summaries.normal_equations import NormalEquations
 
 FOLDS = 20
 """At most: more would make little difference to what is left out of each fit."""
@@ -51,17 +48,20 @@ class Folds(NamedTuple):
     parameters: tuple[str, ...]
 
     @classmethod
-    def of(cls, equations: "NormalEquations", most: int = FOLDS) -> "Folds":
-        """Of normal equations with leading axes `(records, blocks)`, empty blocks left out."""
-        blocks = equations.flattened()
-        used = np.flatnonzero(np.asarray(blocks.count) > 0)
-        count = min(most, used.size)
-        first = -(-np.arange(count) * used.size // max(count, 1))
-        samples, motion = (
-            np.add.reduceat(np.asarray(moments, float)[used], first)
-            for moments in (blocks.moments, blocks.clean)
-        )
-        return cls(samples, motion, equations.parameters)
+    def of(
+        cls,
+        samples: Float[np.ndarray, "blocks columns columns"],
+        motion: Float[np.ndarray, "blocks columns columns"],
+        count: Float[np.ndarray, " blocks"],
+        parameters: Sequence[str],
+        most: int = FOLDS,
+    ) -> "Folds":
+        """Of moments by block, those of a `count` of zero left out: at most so many folds."""
+        used = np.flatnonzero(np.asarray(count) > 0)
+        number = min(most, used.size)
+        first = -(-np.arange(number) * used.size // max(number, 1))
+        by_fold = (np.add.reduceat(np.asarray(of, float)[used], first) for of in (samples, motion))
+        return cls(*by_fold, tuple(parameters))
 
     @property
     def number(self) -> int:

@@ -1,6 +1,5 @@
 """Searches in sums of random columns, and what structures leave of folds, beside the rows."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
@@ -9,7 +8,6 @@ import riecjax as rx
 from riecjax.discovery.candidate import Candidate, Shaped
 from riecjax.discovery.search import RATE, Search, again
 from riecjax.folds import Folds
-from riecjax.summaries.normal_equations import NormalEquations
 
 LETTERS = "abcdefgh"
 
@@ -154,7 +152,7 @@ def test_folds_are_of_whole_blocks_and_empty_blocks_are_in_none():
     count = np.ones((2, 6))
     count[1, 4:] = 0
     moments[1, 4:] = np.nan
-    found = Folds.of(NormalEquations(jnp.asarray(moments), jnp.asarray(count), ("a",)), most=5)
+    found = Folds.of(moments, moments, count, ("a",), most=5)
     blocks = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]
     assert found.samples[:, 0, 0].tolist() == [sum(blocks[2 * i : 2 * i + 2]) for i in range(5)]
     assert found.number == 5

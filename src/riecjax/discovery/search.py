@@ -447,7 +447,8 @@ class Sums:
     def search(self, stage: int) -> Search:
         """A search of one stage, as the sums are now."""
         equations = sum_of_equations(self.summary.equations()[stage])
-        folds, settings = Folds.of(equations.fix(self.known)), self.question.settings
+        blocks, settings = equations.fix(self.known).flattened(), self.question.settings
+        folds = Folds.of(blocks.moments, blocks.clean, blocks.count, blocks.parameters)
         there = {*folds.parameters}
         offered = [offer for offer in members(self.candidates) if {*offer.columns} <= there]
         columns = {name for offer in offered for name in offer.columns}
