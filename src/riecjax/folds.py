@@ -60,8 +60,11 @@ class Folds(NamedTuple):
         used = np.flatnonzero(np.asarray(count) > 0)
         number = min(most, used.size)
         first = -(-np.arange(number) * used.size // max(number, 1))
-        by_fold = (np.add.reduceat(np.asarray(of, float)[used], first) for of in (samples, motion))
-        return cls(*by_fold, tuple(parameters))
+
+        def added(blocks: np.ndarray) -> np.ndarray:
+            return np.add.reduceat(np.asarray(blocks, float)[used], first)
+
+        return cls(added(samples), added(motion), tuple(parameters))
 
     @property
     def number(self) -> int:

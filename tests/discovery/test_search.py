@@ -152,7 +152,9 @@ def test_folds_are_of_whole_blocks_and_empty_blocks_are_in_none():
     count = np.ones((2, 6))
     count[1, 4:] = 0
     moments[1, 4:] = np.nan
-    found = Folds.of(moments, moments, count, ("a",), most=5)
+    found = Folds.of(
+        moments.reshape(-1, 2, 2), moments.reshape(-1, 2, 2), count.ravel(), ("a",), most=5
+    )
     blocks = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]
     assert found.samples[:, 0, 0].tolist() == [sum(blocks[2 * i : 2 * i + 2]) for i in range(5)]
     assert found.number == 5
