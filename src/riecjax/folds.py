@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.special
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from riecjax.linear_algebra import unit_diagonal, unit_scale
 
@@ -99,46 +100,106 @@ class Folds(NamedTuple):
     def fitted(self, names: Sequence[str]) -> Float[np.ndarray, " p"]:
         """Coefficients from all folds."""
         at, total = self.columns(names), self.motion.sum(0)
-        return _solved(total[np.ix_(at, at)], total[at, 0])
+        return solved(total[np.ix_(at, at)], total[at, 0])
 
     def left(self, names: Sequence[str]) -> Left:
         """What is unexplained of each fold by coefficients from all others."""
         at = np.concatenate([[0], self.columns(names)])
         motion, samples = (of[:, at[:, None], at] for of in (self.motion, self.samples))
         others = motion.sum(0) - motion
-        theta = _solved(others[:, 1:, 1:], others[:, 1:, 0])
+        theta = solved(others[:, 1:, 1:], others[:, 1:, 0])
         v = np.concatenate([np.ones((self.number, 1)), -theta], axis=1)
         return Left(*(np.einsum("fi,fij,fj->f", v, of, v) for of in (motion, samples)))
 
-    def chance(self, names: Sequence[str], column: str) -> float:
-        """Probability that a column of a structure that explains nothing is as far from zero.
+    def told(self, names: Sequence[str], column: str) -> "Told":
+        """A column's coefficient beside all others of a structure, see `beside`."""
+        others = [name for name in names if name != column]
+        value, error = (float(each[0]) for each in self.beside(others, [column])[:2])
+        return Told(value, error, self.number - 1)
 
-        By Student's t of its coefficient. With s_f the score of what is the column's own, all
-        others fitted, and g_f its energy in fold f, the coefficient's variance is `sum s^2 / (sum
-        g)^2`, whatever errors are like in each fold. Where a few folds have most of the energy
-        that has few degrees of freedom, and `mean(s^2 / g) / sum g`, which holds where errors are
-        alike all along, has one a fold. The larger of both is taken.
+    def beside(self, names: Sequence[str], columns: Sequence[str]) -> "Beside":
+        """Each of some columns in turn beside the columns of a structure.
+
+        With s_f the score of what is the column's own, all others fitted, and g_f its energy in
+        fold f, the coefficient's variance is `sum s^2 / (sum g)^2`, whatever errors are like in
+        each fold. Where a few folds have most of the energy that has few degrees of freedom, and
+        `mean(s^2 / g) / sum g`, which holds where errors are alike all along, has one a fold. The
+        larger of both is taken.
         """
-        at = self.columns(names)
-        gram, moment = self.motion[:, at[:, None], at], self.motion[:, at, 0]
-        inverse = np.linalg.pinv(gram.sum(0), hermitian=True)
-        own = list(names).index(column)
-        theta = inverse @ moment.sum(0)
-        alone = inverse[:, own] / inverse[own, own]
-        scores = (moment - gram @ theta) @ alone
-        energy = np.einsum("i,fij,j->f", alone, gram, alone)
-        total, freedom = float(energy.sum()), self.number - 1
-        some = energy > 1e-6 * total
-        if not total > 0 or freedom < 1 or not some.any():
-            return 1.0
-        apart = np.sum(scores**2) / total**2
-        alike = np.mean(scores[some] ** 2 / energy[some]) / total
-        error = np.sqrt(max(apart, alike) * self.number / freedom)
-        away = abs(theta[own]) / error if error > 0 else np.inf
-        return float(2 * scipy.special.stdtr(freedom, -away))
+        base, own = self.columns(names), self.columns(columns)
+        scale = unit_scale(np.diagonal(self.motion.sum(0)))
+        every = self.motion * scale[:, None] * scale
+        gram, across = every[:, base[:, None], base], every[:, base[:, None], own]
+        inverse = np.linalg.pinv(gram.sum(0), 1e-12, hermitian=True)
+        theta, along = inverse @ every[:, base, 0].sum(0), inverse @ across.sum(0)
+        left = every[:, base, 0] - gram @ theta
+        scores = every[:, own, 0] - np.einsum("fpc,p->fc", across, theta) - left @ along
+        energy = (
+            every[:, own, own]
+            - 2 * np.einsum("fpc,pc->fc", across, along)
+            + np.einsum("pc,fpq,qc->fc", along, gram, along)
+        )
+        total, freedom = energy.sum(0), max(self.number - 1, 1)
+        there = np.where(total > 0, total, np.inf)
+        value = scores.sum(0) / there
+        gained = scores.sum(0) * value
+        scores = scores - value * energy
+        some = energy > 1e-6 * there
+        apart = np.sum(scores**2, axis=0) / there**2
+        alike = np.sum(np.where(some, scores**2 / np.where(some, energy, 1.0), 0.0), axis=0)
+        alike = alike / np.maximum(some.sum(0), 1) / there
+        error = np.sqrt(np.maximum(apart, alike) * self.number / freedom)
+        error = np.where(some.any(0) & (self.number > 1), error, np.inf)
+        size = scale[own] / scale[0]
+        noise = (self.samples - self.motion).sum(0) * scale[:, None] * scale
+        noise = (
+            noise[own, own]
+            - 2 * np.einsum("pc,pc->c", noise[np.ix_(base, own)], along)
+            + np.einsum("pc,pq,qc->c", along, noise[np.ix_(base, base)], along)
+        )
+        return Beside(size * value, size * error, total, noise, gained / scale[0] ** 2)
+
+    def chance(self, names: Sequence[str], column: str) -> float:
+        """Probability that a column of a structure that explains nothing is as far from zero."""
+        return self.told(names, column).chance
 
 
-def _solved(
+class Beside(NamedTuple):
+    """Columns, each beside the same others.
+
+    **Fields:** `value` and standard `error` of its coefficient; `own`, share of its energy that no
+    combination of the others explains, and the `noise` in that; energy of the target that is
+    `gained` by it.
+    """
+
+    value: Float[np.ndarray, " columns"]
+    error: Float[np.ndarray, " columns"]
+    own: Float[np.ndarray, " columns"]
+    noise: Float[np.ndarray, " columns"]
+    gained: Float[np.ndarray, " columns"]
+
+
+class Told(NamedTuple):
+    """A coefficient's `value` and standard `error`, of so many degrees of `freedom`."""
+
+    value: float
+    error: float
+    freedom: int
+
+    @property
+    def chance(self) -> float:
+        """Probability that one which explains nothing is as far from zero."""
+        return float(chance(self.value, self.error, self.freedom))
+
+
+def chance(value: ArrayLike, error: ArrayLike, freedom: int) -> np.ndarray:
+    """Probability that a coefficient is as far from zero by chance, by Student's t."""
+    value, error = np.abs(np.asarray(value)), np.asarray(error)
+    away = np.where(error > 0, value / np.where(error > 0, error, 1.0), np.where(value > 0, np.inf, 0))
+    return 2 * scipy.special.stdtr(max(freedom, 1), -away)
+
+
+def solved(
     gram: Float[np.ndarray, "*folds p p"], moment: Float[np.ndarray, "*folds p"]
 ) -> Float[np.ndarray, "*folds p"]:
     """Least squares of columns that are scaled to unit length."""

@@ -1,0 +1,202 @@
+"""What of all that may be amiss the data demand: by blocks of time that it was not fitted to.
+
+A doubt is the cause of what is left, where its column is no chance (one level for the answer, over
+all that were tried), is of a size that a machine or a sensor may have, and explains nearly all that
+is left beyond noise. Whatever is wrong makes everything that correlates with it significant: a mode
+that the model leaves out makes a force look late. It explains a third, and is no cause. What
+explains nearly as much as the cause is *equivalent*: the recordings hardly tell which it is. Where
+no doubt is the cause alone, two or three may be: the best is admitted, and the rest are tested
+beside it.
+
+What no column of its own remains of beside regressors and target, cannot be tested: the target's
+own gain, or a delay that all signals have.
+"""
+
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from riecjax.doubts.columns import Doubt
+from riecjax.folds import Beside, Folds, Told
+from riecjax.linear_algebra import unit_diagonal
+
+LEVEL = 1e-3
+"""Probability by chance, over all doubts, below which one is told."""
+UNEXPLAINED = 0.1
+"""Share of the energy left beyond noise that a cause leaves at most."""
+OF_NOISE = 0.07
+"""The same as a share of what noise leaves: no closer is known how much that is."""
+PART = 0.25
+"""Share of what is left that the best of several causes gains by itself at the least."""
+LOST = 0.03
+"""Energy left, as a share, from which a delay may be too large to be found from where it is."""
+CLEARER = 4.0
+"""Times as much energy that others leave where the cause is certain."""
+FEWEST = 6
+"""Folds of time below which their scatter says too little."""
+MOST = 3
+"""Doubts that are the cause together at the most."""
+OWN = 1e-7
+"""Share of a column that is its own beside regressors and target, below which rounding makes it."""
+OWN_NOISE = 0.05
+"""The same over the noise in it: no closer is known how much noise there is."""
+WORTH = 2e-5
+"""Share of the target's energy that a doubt explains at the least: less is within reach of what
+sampling and integration do."""
+
+
+@dataclass(eq=False)
+class Causes:
+    """Doubts, weighed by what they explain of each fold.
+
+    **Fields:** `folds` of parameters and doubts; `every` doubt that stands in them and can be
+    tested; `plausible` sizes of doubts by name, above which none is a cause; how many there were
+    to choose from, `trials`.
+    """
+
+    folds: Folds
+    every: Sequence[Doubt]
+    plausible: Mapping[str, float]
+    trials: int = 0
+
+    def __post_init__(self):
+        doubted = {doubt.name for doubt in self.every}
+        self.trials = self.trials or len(self.every)
+        self.base = tuple(name for name in self.folds.parameters if name not in doubted)
+        left = self.folds.left(self.base)
+        self.before = float(left.motion.sum())
+        self.noise = max(float(left.samples.sum()) - self.before, 0.0)
+        there = {*self.folds.parameters}
+        self.every = [doubt for doubt in self.every if doubt.name in there]
+        self._known: dict[tuple[str, ...], Beside] = {}
+        self._left: dict[frozenset[str], float] = {}
+        own = self._beside([])
+        # A column that is its own beyond rounding and noise.
+        testable = own.own > np.maximum(OWN, OWN_NOISE * own.noise)
+        self.offered = [
+            doubt
+            for doubt, good in zip(self.every, testable.tolist())
+            if good and not (doubt.kind == "gain" and self._is_gain_of_all(doubt))
+        ]
+
+    def of(self, *kinds: str) -> list[Doubt]:
+        """The doubts of some kinds that can be tested."""
+        return [doubt for doubt in self.offered if doubt.kind in kinds]
+
+    def names(self, doubts: Sequence[Doubt]) -> tuple[str, ...]:
+        """Of the parameters' columns, and those of doubts."""
+        return (*self.base, *(doubt.name for doubt in doubts))
+
+    def _beside(self, chosen: Sequence[Doubt]) -> Beside:
+        """Every doubt beside the parameters and those that are chosen."""
+        names = self.names(chosen)
+        if names not in self._known:
+            self._known[names] = self.folds.beside(names, [doubt.name for doubt in self.every])
+        return self._known[names]
+
+    def left(self, doubts: Sequence[Doubt]) -> float:
+        """Energy that is left beyond noise with doubts let in, of folds that they were not fitted
+        to."""
+        key = frozenset(doubt.name for doubt in doubts)
+        if key not in self._left:
+            self._left[key] = float(self.folds.left(self.names(doubts)).motion.sum())
+        return self._left[key]
+
+    def settle(self, doubt: Doubt, left: float) -> None:
+        """Say what is left once a doubt is undone, which its column tells to first order alone."""
+        self._left[frozenset([doubt.name])] = left
+
+    def is_little(self, left: float) -> bool:
+        """Whether an energy that is left is hardly more than noise."""
+        return left <= max(UNEXPLAINED * self.before, OF_NOISE * self.noise)
+
+    def told(self, doubt: Doubt, beside: Sequence[Doubt] = ()) -> Told:
+        """How much of a doubt there is, beside others."""
+        found, at = self._beside(beside), self.every.index(doubt)
+        return Told(float(found.value[at]), float(found.error[at]), self.folds.number - 1)
+
+    def is_sure(self, doubt: Doubt, beside: Sequence[Doubt] = ()) -> bool:
+        """Whether neither chance nor rounding makes a doubt, and it is of a plausible size."""
+        told, found = self.told(doubt, beside), self._beside(beside)
+        at = self.every.index(doubt)
+        worth = doubt.kind == "delay" or found.gained[at] > WORTH * self.folds.energy
+        apart = found.own[at] > OWN
+        likely = abs(told.value) < self.plausible.get(doubt.name, np.inf)
+        return bool(worth and apart and likely) and told.chance * self.trials < LEVEL
+
+    @property
+    def is_promising(self) -> bool:
+        """Whether any doubt may be a cause, or one of several; or so much is left that a delay may
+        be too large for its column."""
+        found = self._beside([])
+        most = max((found.gained[self.every.index(doubt)] for doubt in self.offered), default=0.0)
+        enough = PART * max(self.before, OF_NOISE * self.noise)
+        return bool(most > enough or self.before > LOST * self.folds.energy)
+
+    def nearest(self, most: int) -> list[Doubt]:
+        """All delays, and of the other doubts those that gain most by themselves."""
+        gained = dict(zip((doubt.name for doubt in self.every), self._beside([]).gained.tolist()))
+        others = [
+            doubt for doubt in self.of("zero", "gain", "drift", "term") if self.is_sure(doubt)
+        ]
+        others.sort(key=lambda doubt: -gained[doubt.name])
+        return [*self.of("delay"), *others[:most]]
+
+    def demanded(self, among: Sequence[Doubt], sure: Container[Doubt] = ()) -> list[Doubt]:
+        """Of some doubts those that are the cause of what is left, none where nothing explains it.
+
+        **Arguments:** `sure`, doubts of which that is known.
+        """
+        chosen: list[Doubt] = []
+        while self.folds.number >= FEWEST and len(chosen) < MOST:
+            others = [
+                doubt
+                for doubt in among
+                if doubt not in chosen and (doubt in sure or self.is_sure(doubt, chosen))
+            ]
+            best = min(others, key=lambda doubt: self.left([*chosen, doubt]), default=None)
+            if best is None or not self.left([*chosen, best]) < self.left(chosen):
+                break
+            chosen.append(best)
+            if self.is_little(self.left(chosen)):
+                return self._pruned(chosen)
+        return []
+
+    def instead(self, chosen: Sequence[Doubt], cause: Doubt) -> list[Doubt]:
+        """Doubts that explain what is left in the place of a cause, best first."""
+        beside = [doubt for doubt in chosen if doubt is not cause]
+        others = [
+            doubt
+            for doubt in self.of("delay", "zero", "gain", "drift", "term")
+            if doubt not in chosen
+            and self.is_little(self.left([*beside, doubt]))
+            and self.is_sure(doubt, beside)
+        ]
+        return sorted(others, key=lambda doubt: self.left([*beside, doubt]))
+
+    def is_clear(self, chosen: Sequence[Doubt], cause: Doubt, other: Doubt) -> bool:
+        """Whether another doubt in the place of a cause leaves clearly more."""
+        beside = [doubt for doubt in chosen if doubt is not cause]
+        least = max(CLEARER * self.left(chosen), OF_NOISE * self.noise)
+        return self.left([*beside, other]) > least
+
+    def _pruned(self, chosen: list[Doubt]) -> list[Doubt]:
+        """Without those without which the rest explains as much."""
+        for doubt in chosen[:-1]:
+            rest = [other for other in chosen if other is not doubt]
+            left = self.left(rest)
+            if self.is_little(left) and left <= CLEARER * self.left(chosen):
+                return self._pruned(rest)
+        return chosen
+
+    def _is_gain_of_all(self, doubt: Doubt) -> bool:
+        """Whether a gain is that of all that the equations explain, or of their target: it hardly
+        remains beside regressors and target."""
+        motion = self.folds.motion.sum(0)
+        (at,) = self.folds.columns([doubt.name])
+        beside = np.array([0, *self.folds.columns(self.base)])
+        scaled = unit_diagonal(motion)[0]
+        along = np.linalg.pinv(scaled[np.ix_(beside, beside)], 1e-12, hermitian=True)
+        own = scaled[at, at] - scaled[at, beside] @ along @ scaled[beside, at]
+        return not own > OWN

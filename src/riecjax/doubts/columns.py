@@ -1,0 +1,359 @@
+"""Rows of a model's equations over windows, with a column for each thing that may be amiss.
+
+The residual of an equation is `r = y - sum_j theta_j D^k phi_j(s)`. A sensor that shows `s + a d`
+in place of `s`, where `a` is how much and `d` a course in time, adds to first order
+
+    a c,    c = D^k (d phi / d s) d
+
+to it: a column that is known, since `theta` is. So a zero has `d = 1`, a gain `d = s`, a drift
+`d = t`, a delay `d = -s'` (per second), two clocks `d = -s' t`, rows that were lost at `t0`
+`d = -s' [t > t0]`; a term that the model lacks is its own column. The slope `d phi / d s` is a
+difference of the equation's own columns, taken for one signal after the other, and the derivatives
+stay on the test function.
+
+Rows are integrals over windows that are spread evenly over starts and lengths: a few thousand tell
+as much as all windows do, since these overlap. Their products by folds of time are all that is
+tested. What noise adds to them is measured: noise as each sensor's is put through the same columns,
+to first order, and its products are subtracted.
+
+Parameters are free in each stage, those that an earlier stage has found too, as far as the stage
+tells them apart: so no error of an earlier stage is taken for a fault of a sensor.
+"""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.windows import WindowSet
+from riecjax.discovery.candidate import Candidate
+from riecjax.equations.equation import Equation
+from riecjax.equations.memories import with_memories
+from riecjax.equations.model import Model
+from riecjax.equations.noisy_columns import Columns, noisy_columns, sampled_columns
+from riecjax.equations.term import AbstractTerm
+from riecjax.estimation.estimate import Estimate
+from riecjax.folds import FOLDS, Folds
+from riecjax.linear_algebra import unit_diagonal
+from riecjax.records.record import Record
+
+ROWS = 4096
+"""Windows of all records together."""
+MOST_SAMPLES = 2**17
+"""Samples of each record that are looked at: no doubt needs more."""
+PROBES = 2
+"""Noises that are put through the columns."""
+BLOCK = 2
+"""Longest windows to a fold of time at least."""
+GOLDEN = 0.5 * (5**0.5 - 1)
+"""Multiples of it lie evenly between whole numbers (Weyl), however many there are."""
+APART = 1e-4
+"""Least eigenvalue of a stage's correlations with which parameters of earlier stages are free."""
+SLIGHT = 1e-3
+"""Share of a signal's deviation over which slopes are taken, where there is less noise."""
+
+Samples = Float[np.ndarray, " n"]
+Course = Callable[[Samples, Samples], Samples]
+"""Of a signal's samples and their time in seconds from the record's middle, how a fault of unit
+size changes them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Doubt:
+    """What may be amiss: a column.
+
+    **Fields:** `name`, of its column; `kind`; the `signals` that it changes, all by one `course`;
+    or the `candidate` of discovery whose terms the model may lack.
+    """
+
+    name: str
+    kind: str
+    signals: tuple[str, ...] = ()
+    course: Course | None = None
+    candidate: Candidate | None = None
+
+    def changes(self, samples: Samples, time: Samples) -> Samples:
+        """How a fault of unit size changes a signal's samples."""
+        assert self.course is not None
+        return self.course(samples, time)
+
+
+class _Windows(NamedTuple):
+    """Windows of one record, by ascending start, and the fold of time that each belongs to."""
+
+    drawn: WindowSet
+    fold: Int[np.ndarray, " rows"]
+
+
+def windows_of(criterion: AbstractCriterion, records: Sequence[Record]) -> list[_Windows]:
+    """Of each record windows of all lengths, spread evenly; in folds of two longest ones."""
+    assert criterion.windows is not None
+    multiple = criterion.test_function.length_multiple
+    sizes = [record.sample_count for record in records]
+    spans = [size * float(record.time_step) for size, record in zip(sizes, records)]
+    longest = BLOCK * float(criterion.windows.beta)
+    folds = int(np.clip(sum(spans) / longest, 1, FOLDS))
+    found, before = [], 0.0
+    for record, size, span in zip(records, sizes, spans):
+        first, last = criterion.windows.every.lags(size, record.time_step, multiple)
+        count = max(int(ROWS * span / sum(spans)), 1)
+        at = np.arange(count)
+        length = multiple * (int(first) + (at * GOLDEN % 1 * (last - first + 1)).astype(int))
+        start = ((at + 0.5) / count * (size - length)).astype(int)
+        order = np.argsort(start, kind="stable")
+        start, length = start[order], length[order]
+        time = before + start * float(record.time_step)
+        fold = np.minimum((time / sum(spans) * folds).astype(int), folds - 1)
+        found.append(_Windows(WindowSet(start, start + length), fold))
+        before += span
+    return found
+
+
+def noisy_copies(record: Record, number: int) -> tuple[Record, Record]:
+    """The record with noise as each sensor's added, and with the same noise subtracted."""
+    rng = np.random.default_rng(number)
+    white = {s: rng.standard_normal(record.sample_count) for s in record.noise.sources}
+    above, below = {}, {}
+    for name, kernels in record.noise.kernels.items():
+        if name not in record.arrays or not kernels:
+            continue
+        signal = record.signal(name)
+        noise = sum(np.convolve(white[s], taps, mode="same") for s, taps in kernels.items())
+        above[name] = replace(signal, values=signal.values + noise)
+        below[name] = replace(signal, values=signal.values - noise)
+    return record.with_signals(above), record.with_signals(below)
+
+
+class _Rows(NamedTuple):
+    """Of one equation on one record: names of columns behind the target, rows by window, and what
+    each noise makes of them."""
+
+    names: tuple[str, ...]
+    rows: Float[np.ndarray, "columns rows"]
+    noises: Sequence[Float[np.ndarray, "columns rows"]]
+
+    def of(self, mix: Float[np.ndarray, "some columns"], names: tuple[str, ...]) -> "_Rows":
+        """The same of these combinations of columns."""
+        return _Rows(names, mix @ self.rows, [mix @ noise for noise in self.noises])
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """How one equation's columns are made, with the terms that it may lack.
+
+    **Fields:** the `plain` equation, and that of terms which it may have `lacked`; `doubts` of sensors; `values` of the
+    estimate, of known coefficients too; `criterion`; whose `noise` is taken off.
+    """
+
+    plain: Equation
+    lacked: Equation | None
+    doubts: Sequence[Doubt]
+    values: Mapping[str, float]
+    criterion: AbstractCriterion
+    noise: str
+
+    def rows(self, record: Record, windows: WindowSet) -> _Rows:
+        """Rows on one record."""
+        criterion, smoothness = self.criterion, self.criterion.smoothness
+        read = self.plain.signals_read(record, smoothness)
+        sensors = [doubt for doubt in self.doubts if read & {*doubt.signals}]
+        touched = sorted({name for doubt in sensors for name in doubt.signals if name in read})
+        slopes = {name: self._slope(record, name) for name in touched}
+        time = np.asarray(record.elapsed, float)
+        time = time - 0.5 * (time[0] + time[-1])
+        own = criterion.noisy_columns(self.plain, record).columns
+        sampled, present = [np.asarray(own.values, float)], own.present
+        if self.lacked is not None:
+            of = sampled_columns if self.noise != "all" else _without_shift
+            further = of(self.lacked, record, smoothness)
+            sampled.append(np.asarray(further.values, float)[:, 1:])
+            if further.present is not None:
+                present = further.present if present is None else present & further.present
+
+        def changed(of: Record) -> list[Float[np.ndarray, "orders 1 n"]]:
+            samples = {name: np.asarray(of.arrays[name], float) for name in touched}
+            return [
+                sum(slopes[name] * doubt.changes(samples[name], time) for name in doubt.signals
+                    if name in slopes)[:, None]
+                for doubt in sensors
+            ]  # fmt: skip
+
+        def integrated(parts: Sequence[np.ndarray]) -> Float[np.ndarray, "columns rows"]:
+            values = np.concatenate(parts, axis=1)
+            names = ("",) * (values.shape[1] - 1)
+            columns = Columns(values, present, own.time_step, names)
+            rows, valid = criterion.test_function.integrals(columns, windows)
+            return rows if valid is None else np.where(valid, rows, 0.0)
+
+        def noise(number: int) -> Float[np.ndarray, "columns rows"]:
+            sides = noisy_copies(record, number)
+            equations = [
+                self.plain,
+                *([self.lacked] if self.lacked and self.noise == "all" else []),
+            ]
+            pairs = [
+                [sampled_columns(e, side, smoothness).values for side in sides] for e in equations
+            ]
+            halves = [0.5 * np.asarray(high - low, float) for high, low in pairs]
+            parts = [halves[0], *(half[:, 1:] for half in halves[1:])]
+            if self.noise == "all":
+                parts += [0.5 * (one - other) for one, other in zip(*map(changed, sides))]
+            made = integrated(parts)
+            return np.pad(made, [(0, len(rows) - len(made)), (0, 0)])
+
+        lacked = () if self.lacked is None else self.lacked.parameters
+        names = (*self.plain.parameters, *lacked, *(doubt.name for doubt in sensors))
+        rows = integrated([*sampled, *changed(record)])
+        noisy = self.noise and any(record.noise.kernels.get(name) for name in read)
+        return _Rows(names, rows, [noise(i) for i in range(PROBES if noisy else 0)])
+
+    def _residual(self, record: Record) -> Float[np.ndarray, "orders n"]:
+        columns = sampled_columns(self.plain, record, self.criterion.smoothness)
+        row = np.array([1.0, *(-self.values[name] for name in self.plain.parameters)])
+        return np.einsum("j,ojn->on", row, np.asarray(columns.values, float))
+
+    def _slope(self, record: Record, name: str) -> Float[np.ndarray, "orders n"]:
+        """How the residual changes with a signal."""
+        signal = record.signal(name)
+        size = max(float(record.noise.std(name)), SLIGHT * float(np.std(signal.values))) or 1.0
+        high, low = (
+            self._residual(record.with_signals({name: replace(signal, values=values)}))
+            for values in (signal.values + size, signal.values - size)
+        )
+        return (high - low) / (2 * size)
+
+
+class Asked(NamedTuple):
+    """What is doubted: a `model` with `values` of all parameters, some of them `known`, by all
+    windows of a `criterion`."""
+
+    model: Model
+    criterion: AbstractCriterion
+    values: Mapping[str, float]
+    known: Mapping[str, float]
+
+    @classmethod
+    def of(cls, model: Model, estimate: Estimate) -> "Asked":
+        """A model's estimate."""
+        values = {name: float(value) for name, value in estimate.values.items()}
+        known = {name: float(value) for name, value in estimate.known.items()}
+        return cls(model, estimate.criterion, values, known)
+
+
+def _without_shift(equation: Equation, record: Record, smoothness: int) -> Columns:
+    """Columns less what noise adds to their mean."""
+    return noisy_columns(equation, record, smoothness).columns
+
+
+def folds_of(
+    asked: Asked,
+    records: Sequence[Record],
+    doubts: Sequence[Doubt],
+    noise: Literal["", "plain", "all"] = "all",
+) -> Folds:
+    """Products of target, parameters and doubts by folds of time, all stages together, each over
+    the size of its target.
+
+    Parameters of a stage are called `stage.parameter`, and doubts by their names.
+
+    **Arguments:** `noise` that is taken off the products of `all` columns, of the `plain` ones of
+    parameters alone, or of none.
+    """
+    model, criterion, values = asked.model, asked.criterion, asked.values
+    memories = list(model.memories)
+    terms: dict[str, list[AbstractTerm]] = {}
+    for doubt in doubts:
+        if (lacked := doubt.candidate) is not None:
+            name = lacked.equation or model.equation_names[0][0]
+            terms.setdefault(name, []).extend(lacked.terms)
+            memories += lacked.memories
+    records = [each.part(0, min(each.sample_count, MOST_SAMPLES)) for each in records]
+    records = [with_memories(record, memories) for record in records]
+    windows = windows_of(criterion, records)
+    fold = np.concatenate([each.fold for each in windows])
+    sensors = [doubt for doubt in doubts if doubt.course is not None]
+    earlier: dict[str, float] = {}
+    stages: list[_Rows] = []
+    for number, (equations, names) in enumerate(zip(model.stages, model.equation_names)):
+        parts = []
+        for equation, name in zip(equations, names, strict=True):
+            lacked = equation.of_terms(*terms[name]) if name in terms else None
+            columns = _Columns(equation, lacked, sensors, values, criterion, noise)
+            each = [columns.rows(*one) for one in zip(records, (w.drawn for w in windows))]
+            parts.append(_joined(each))
+        stages.append(
+            _of_stage(parts, f"{number}.", asked.known, earlier, {doubt.name for doubt in doubts})
+        )
+        earlier |= {n: values[n] for e in equations for n in e.parameters if n in values}
+    return _products(stages, fold)
+
+
+def _joined(parts: Sequence[_Rows]) -> _Rows:
+    """Rows of one equation on one record after the other."""
+    number = max(len(part.noises) for part in parts)
+    nothing = [(np.zeros_like(part.rows),) * (number - len(part.noises)) for part in parts]
+    noises = zip(*((*part.noises, *none) for part, none in zip(parts, nothing)))
+    rows = np.concatenate([part.rows for part in parts], axis=1)
+    return _Rows(parts[0].names, rows, [np.concatenate(noise, axis=1) for noise in noises])
+
+
+def _among(part: _Rows, names: Sequence[str], known: Mapping[str, float]) -> _Rows:
+    """Rows of these columns, zero where an equation has none, with what is known in the target."""
+    mix = np.zeros((1 + len(names), 1 + len(part.names)))
+    mix[0] = [1.0, *(-known.get(name, 0.0) for name in part.names)]
+    for place, name in enumerate(names, 1):
+        if name in part.names:
+            mix[place, 1 + part.names.index(name)] = 1.0
+    return part.of(mix, tuple(names))
+
+
+def _of_stage(
+    parts: Sequence[_Rows],
+    prefix: str,
+    known: Mapping[str, float],
+    earlier: Mapping[str, float],
+    doubts: Collection[str],
+) -> _Rows:
+    """Rows of all equations of a stage, over the size of its target.
+
+    Parameters that `earlier` stages found are free where the stage tells them from its own.
+    """
+    every = list(dict.fromkeys(name for part in parts for name in part.names))
+
+    def with_known(known: Mapping[str, float]) -> _Rows:
+        free = [name for name in every if name not in known]
+        return _joined([_among(part, free, known) for part in parts])
+
+    found = with_known(known)
+    if again := {name: earlier[name] for name in found.names if name in earlier}:
+        at = [i for i, name in enumerate(found.names, 1) if name not in doubts]
+        gram = found.rows[at] @ found.rows[at].T
+        for noise in found.noises:
+            gram -= noise[at] @ noise[at].T / len(found.noises)
+        apart = np.all(np.diagonal(gram) > 0)
+        if not apart or np.linalg.eigvalsh(unit_diagonal(gram)[0])[0] < APART:
+            found = with_known({**known, **again})
+    size = float(np.sqrt(np.mean(found.rows[0] ** 2))) or 1.0
+    names = tuple(name if name in doubts else f"{prefix}{name}" for name in found.names)
+    return found.of(np.eye(1 + len(names)) / size, names)
+
+
+def _products(stages: Sequence[_Rows], fold: Int[np.ndarray, " rows"]) -> Folds:
+    """Sums of products by fold, over all stages."""
+    names = tuple(dict.fromkeys(name for stage in stages for name in stage.names))
+    count = 1 + int(fold.max())
+    samples = np.zeros((count, 1 + len(names), 1 + len(names)))
+    noise = np.zeros_like(samples)
+    for stage in stages:
+        at = np.array([0, *(1 + names.index(name) for name in stage.names)])
+        place = np.tile(fold, stage.rows.shape[1] // fold.size)
+        for number in range(count):
+            some = place == number
+            here = np.ix_([number], at, at)
+            samples[here] += (stage.rows[:, some] @ stage.rows[:, some].T)[None]
+            for one in stage.noises:
+                noise[here] += (one[:, some] @ one[:, some].T)[None] / len(stage.noises)
+    return Folds(samples, samples - noise, names)

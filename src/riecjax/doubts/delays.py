@@ -1,0 +1,285 @@
+"""How late signals are against equations: the delay's column, undone and taken again.
+
+A signal recorded tau late shows z(t) = s(t - tau). Its column is right to first order in tau, so
+that the delay that it finds is taken off the record, and the column of what is left of it taken
+again, until nothing is: there the answer is exact. Delays beyond the column's reach are looked for
+from starts that lie so near to each other that one of them is within it.
+
+Behind a first-order low-pass of time constant tau a sensor shows z with s = z + tau z': to first
+order in tau that is the same column, and which of the two, undone, leaves less tells them apart.
+
+**A delay that changes.** Delays that grow evenly along a record are of two clocks, those that jump
+of rows that one signal lost. Sums by fold of time of the record with a signal advanced by whole
+samples hold a delay of each fold: parameters from all folds, each at its delay; each fold's delay
+where it leaves least of them, in turn.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from riecjax import tails
+from riecjax.doubts.candidates import longest_delay
+from riecjax.doubts.causes import CLEARER, LEVEL, OF_NOISE
+from riecjax.doubts.columns import Asked, Doubt, folds_of
+from riecjax.errors import DataError
+from riecjax.folds import Folds, solved
+from riecjax.records.faults.derivative_pairs import Course, changing
+from riecjax.records.preparation.filtering import unfilter
+from riecjax.records.preparation.resampling import shift
+from riecjax.records.record import Record
+
+TURNS = 8
+"""Times that a delay is undone and taken again at the most."""
+SETTLED = 0.1
+"""Standard errors of a step that is the last."""
+SMALLEST = 0.02
+"""Samples below which a delay is the quadrature's, which has no more accuracy."""
+TURN = 1.0
+"""Radians of the usual motion that a step of a delay is at the most."""
+
+
+class Settled(NamedTuple):
+    """How late `signals` are, once that is undone.
+
+    **Fields:** `seconds`, of a first-order low-pass where it is `low_passed`; their standard
+    `error` and `reach`, half an interval at the level of an answer; `left` beyond noise and `noise`,
+    as shares of the target's energy, and `otherwise`, what the other of delay and low-pass leaves;
+    `values` of parameters by stage and name; `step` between samples.
+    """
+
+    signals: tuple[str, ...]
+    seconds: float
+    error: float
+    reach: float
+    left: float
+    noise: float
+    values: dict[str, float]
+    step: float
+    low_passed: bool = False
+    otherwise: float = np.inf
+
+    @property
+    def samples(self) -> float:
+        """The delay in samples."""
+        return self.seconds / self.step
+
+    @property
+    def is_told(self) -> bool:
+        """Whether it is more than chance and quadrature make."""
+        return abs(self.seconds) > self.reach and abs(self.samples) > SMALLEST
+
+    @property
+    def certain(self) -> bool:
+        """Whether delay and low-pass are told apart."""
+        return self.otherwise > max(CLEARER * self.left, OF_NOISE * self.noise)
+
+
+def settled(
+    asked: Asked, records: Sequence[Record], doubt: Doubt, start: float = 0.0, lagged: bool = False
+) -> Settled | None:
+    """The delay of some signals near a start, or the time constant of their low-pass; `None` where
+    no step settles it."""
+    seconds, most = start, longest_delay(records) * float(records[0].time_step)
+    step = TURN / _rate(records, doubt.signals)
+    for _ in range(TURNS):
+        undone = _undone(records, doubt.signals, seconds, lagged)
+        if undone is None:
+            return None
+        folds = folds_of(asked, undone, [doubt])
+        names = tuple(name for name in folds.parameters if name != doubt.name)
+        told = folds.told((*names, doubt.name), doubt.name)
+        if not (np.isfinite(told.value) and np.isfinite(told.error)):
+            return None
+        if abs(told.value) <= SETTLED * told.error or abs(told.value) < 1e-9 * most:
+            break
+        seconds += float(np.clip(told.value, -step, step))
+        if abs(seconds) > most or (lagged and seconds <= 0):
+            return None
+    left = folds.left(names)
+    motion, samples = (float(part.sum()) / folds.energy for part in left)
+    reach = float(tails.student(LEVEL / 2, told.freedom)) * told.error
+    values = dict(zip(names, folds.fitted(names).tolist()))
+    noise, step = max(samples - motion, 0.0), float(records[0].time_step)
+    return Settled(doubt.signals, seconds, told.error, reach, motion, noise, values, step, lagged)
+
+
+def farther(asked: Asked, records: Sequence[Record], doubt: Doubt) -> float:
+    """The delay in seconds that leaves least, of some that lie within a column's reach of each
+    other."""
+    step, most = float(records[0].time_step), longest_delay(records)
+    apart = max(int(TURN / _rate(records, doubt.signals) / step), 1)
+
+    def left(count: int) -> float:
+        moved = [advanced(one, doubt.signals, count, most) for one in records]
+        folds = folds_of(asked, moved, [])
+        return float(folds.left(folds.parameters).motion.sum()) / folds.energy
+
+    return step * min(range(-most + most % apart, most + 1, apart), key=left)
+
+
+def _undone(
+    records: Sequence[Record], signals: Sequence[str], seconds: float, lagged: bool
+) -> list[Record] | None:
+    """The records without a delay or low-pass; `None` where nothing is left of them."""
+    if not seconds:
+        return [*records]
+    try:
+        return [
+            (unfilter if lagged else shift)(one, dict.fromkeys(signals, seconds)) for one in records
+        ]
+    except DataError:
+        return None
+
+
+def _rate(records: Sequence[Record], signals: Sequence[str]) -> float:
+    """The usual angular frequency of the fastest of some signals, in radians per second."""
+    rates = []
+    for record in records:
+        for name in signals:
+            samples = np.asarray(record.arrays[name], float)
+            spread = float(np.std(samples)) or 1.0
+            rates.append(float(np.std(np.diff(samples))) / spread / float(record.time_step))
+    return max(max(rates), 1e-12)
+
+
+FEWEST_PARTS = 8
+"""Folds of a record whose delays are told, at the least."""
+ROUNDS = 8
+"""Times that parameters and delays are found in turn."""
+PERHAPS, CERTAIN = 2.0, 40.0
+"""F-statistic of a course against a steady delay, to look for more, and to name it."""
+SLIGHT = 0.05
+"""Change in samples, as far as one to either side tells it, below which no more are tried."""
+LEAST = {"clocks": 0.1, "rows": 0.5}
+"""Samples by which the delay changes at the least."""
+FARTHEST = 20
+"""Samples to either side of the delay of all that those of parts are looked for."""
+
+
+class Followed(NamedTuple):
+    """The course of a delay; energy left beyond noise and that of noise, over the target's, with
+    each part at its own delay; values of parameters; the course's F-statistic against a steady one.
+    """
+
+    course: Course
+    left: float
+    noise: float
+    values: dict[str, float]
+    statistic: float
+
+
+@dataclass
+class Shifts:
+    """Sums by fold of a record, some signals of which are advanced by whole samples."""
+
+    asked: Asked
+    record: Record
+    signals: tuple[str, ...]
+    known: dict[int, Folds] = field(default_factory=dict)
+
+    @property
+    def reach(self) -> int:
+        """Samples that signals are advanced or delayed by at the most."""
+        return longest_delay([self.record])
+
+    def sums(self, count: int) -> Folds:
+        """With so many samples undone."""
+        if count not in self.known:
+            moved = advanced(self.record, self.signals, count, self.reach)
+            # A shift leaves noise what it was.
+            noise = "" if self.known else "all"
+            found = folds_of(self.asked, [moved], [], noise)
+            first = next(iter(self.known.values()), found)
+            self.known[count] = found._replace(
+                motion=found.samples - (first.samples - first.motion)
+            )
+        return self.known[count]
+
+    def course(self, middle: int) -> Followed | None:
+        """The course of a delay, if it is none that stays, about this one."""
+        near = self._among(range(middle - 1, middle + 2))
+        # Parts whose delays are far from the middle one are not told by three delays next to it.
+        if near is not None and (near.statistic < PERHAPS or abs(near.course.change) < SLIGHT):
+            return None
+        first, last = max(middle - FARTHEST, -self.reach), min(middle + FARTHEST, self.reach)
+        best = self._among(range(first, last + 1))
+        if best is None or best.statistic < CERTAIN:
+            return None
+        return best if abs(best.course.change) > LEAST[best.course.kind] else None
+
+    def _among(self, counts: range) -> Followed | None:
+        """The best course with delays among these."""
+        every = [self.sums(count) for count in counts]
+        folds, names = every[0].number, every[0].parameters
+        if folds < FEWEST_PARTS or any(one.number != folds for one in every):
+            return None
+        motion, samples = (
+            np.stack([getattr(one, of) for one in every]) for of in ("motion", "samples")
+        )
+        parts, either = np.arange(folds), np.array([[-1], [0], [1]])
+
+        def at(places: Float[np.ndarray, " parts"]) -> Float[np.ndarray, "counts parts"]:
+            """Weights of delays for each part at its place between them: of parabolas."""
+            nearest = np.clip(np.round(places).astype(int), 1, len(counts) - 2)
+            aside = places - nearest
+            weights = np.zeros((len(counts), folds))
+            three = np.array([aside * (aside - 1) / 2, 1 - aside**2, aside * (aside + 1) / 2])
+            weights[nearest + either, parts] = three
+            return weights
+
+        def row(weights: Float[np.ndarray, "counts parts"]) -> Float[np.ndarray, " columns"]:
+            total = np.tensordot(weights, motion, 2)
+            return np.array([1.0, *(-solved(total[1:, 1:], total[1:, 0]))])
+
+        places, bend = np.full(folds, len(counts) // 2, float), np.ones(folds)
+        reach = 3.0 if len(counts) == 3 else 1.0
+        for _ in range(ROUNDS):
+            v = row(at(places))
+            if not np.all(np.isfinite(v)):
+                return None
+            # Where each part leaves least, and how sharply; not sharply at all where that is at an
+            # end.
+            left = np.einsum("i,kfij,j->kf", v, motion, v)
+            lowest = np.clip(np.argmin(left, axis=0), 1, len(counts) - 2)
+            low, here, high = left[lowest + either, parts]
+            bend = low - 2 * here + high
+            moved = 0.5 * (low - high) / np.where(bend > 0, bend, 1.0)
+            bend = np.where((bend > 0) & (np.abs(moved) < reach), bend, 0.0)
+            places = lowest + np.clip(moved, -reach, reach)
+        edges = np.linspace(0, self.record.sample_count, folds + 1).round().astype(int).tolist()
+        told = bend > 0
+        errors = 1 / np.sqrt(np.where(told, bend, 1.0))
+        delays = np.stack([places + counts[0], errors, edges[:-1], edges[1:]])[:, told]
+        if delays.shape[1] < FEWEST_PARTS:
+            return None
+        # Errors are known up to a factor, which the course that leaves least tells.
+        _, uneven = changing(delays, edges)
+        delays[1] *= np.sqrt(max(uneven, 1e-12) / max(delays.shape[1] - 3, 1))
+        course, uneven = changing(delays, edges)
+        weight = delays[1] ** -2.0
+        steady = float(weight @ (delays[0] - weight @ delays[0] / weight.sum()) ** 2)
+        statistic = (steady - uneven) / max(uneven / (delays.shape[1] - 3), 1e-12 * steady, 1e-300)
+        # Of all parts but the one that leaves most: a jump within it is not undone.
+        weights = at(places)
+        v = row(weights)
+        weights[:, np.argmax(np.einsum("kf,i,kfij,j->f", weights, v, motion, v))] = 0.0
+        v = row(weights)
+        left, all_left, energy = (
+            float(np.einsum("kf,i,kfij,j->", weights, side, of, side))
+            for side, of in ((v, motion), (v, samples), (np.eye(v.size)[0], samples))
+        )
+        values = dict(zip(names, (-v[1:]).tolist()))
+        return Followed(
+            course, left / energy, max(all_left - left, 0.0) / energy, values, statistic
+        )
+
+
+def advanced(record: Record, signals: Sequence[str], count: int, reach: int) -> Record:
+    """A record without `reach` samples at either end, some signals advanced by whole samples."""
+    n = record.sample_count
+    moved = record.select(*signals).part(reach + count, n - reach + count)
+    return record.part(reach, n - reach).with_signals(moved.by_name)

@@ -1,0 +1,365 @@
+"""What the data demand of a model's equations: faults of sensors, and terms that it lacks, in words.
+
+All doubts are weighed at once, from one pass over rows of windows. A delay that is significant is
+undone, taken again, and held against a low-pass; one that changes along the record is followed. A
+cause is told where it explains nearly all that the model leaves beyond noise and moves a parameter;
+what explains as much is named beside it, and where that is so, no option is proposed: the
+recordings cannot tell which of them would be right.
+"""
+
+import shlex
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from riecjax.doubts.candidates import longest_delay, plausible, sensors, terms
+from riecjax.doubts.causes import FEWEST, LOST, Causes
+from riecjax.doubts.columns import Asked, Doubt, folds_of
+from riecjax.doubts.delays import Settled, Shifts, farther, settled
+from riecjax.equations.model import Model
+from riecjax.estimation.estimate import Estimate
+from riecjax.findings import Finding, line_taken_off, option_for
+from riecjax.leaves import size_of
+from riecjax.records.faults.derivative_pairs import Course
+from riecjax.records.record import Record
+from riecjax.summaries.task import signals_read
+
+HALF = 0.5
+"""Share of what is left that a delay's column leaves at most, for the delay to be undone."""
+VISIBLE = 0.003
+"""Rms left beyond noise, over the target, from which a delay that changes is looked for."""
+MOVES = 1.0
+"""Standard errors by which a cause moves some parameter at the least."""
+NEAR = 8
+"""Doubts that gain most, of which noise is taken off."""
+NAMED = 2
+"""Equivalent causes that are named beside one."""
+CONSTANT = "constant force"
+
+
+class Cause(NamedTuple):
+    """A doubt that the data demand.
+
+    **Fields:** `doubt`; its `size` in the unit of its column; rms that is left beyond noise with
+    it, `left`, and without, `before`, as shares of the target's; `moved`, shares by which
+    parameters change with it; `delay` once it is undone, and `course` of one that changes;
+    `certain`, whether all other doubts leave clearly more; `instead`, those that explain as much.
+    """
+
+    doubt: Doubt
+    size: float
+    before: float
+    left: float
+    moved: Mapping[str, float]
+    delay: Settled | None = None
+    course: Course = Course()
+    certain: bool = True
+    instead: tuple[Doubt, ...] = ()
+
+
+@dataclass(eq=False)
+class Weighing:
+    """The doubts of a model's estimate on records that may be a cause; signals whose delay may be
+    `changing` along a record."""
+
+    model: Model
+    records: Sequence[Record]
+    estimate: Estimate
+    asked: Asked
+    causes: Causes
+    changing: Collection[tuple[str, ...]]
+
+    @classmethod
+    def of(cls, model: Model, records: Sequence[Record], estimate: Estimate) -> "Weighing | None":
+        """Of an estimate; `None` of hidden elements, parameters of each recording, windows drawn
+        at random, and records too short for blocks to scatter."""
+        criterion = estimate.criterion
+        own = any(estimate.table[name].recording is not None for name in estimate.parameters)
+        if model.has_hidden or own or criterion.all_windows is None or estimate.summary is None:
+            return None
+        if longest_delay(records) < 3 or int(estimate.block_count) < FEWEST:
+            return None
+        read = {n for each in records for n in signals_read(model, each, criterion, summed=True)}
+        doubts = [*sensors(model, records, read), *terms(model, records)]
+        asked, sizes = Asked.of(model, estimate), plausible(doubts, records)
+        # Noise is taken off those alone that may be a cause.
+        rough = Causes(folds_of(asked, records, doubts, "plain"), doubts, sizes)
+        if not rough.is_promising:
+            return None
+        near = rough.nearest(NEAR)
+        folds = folds_of(asked, records, near)
+        delays = {doubt.signals: [doubt] for doubt in rough.of("delay")}
+        changing = {
+            one.signals
+            for one in rough.of("clock", "rows")
+            if rough.is_sure(one) or rough.is_sure(one, delays.get(one.signals, []))
+        }
+        causes = Causes(folds, near, sizes, rough.trials)
+        return cls(model, records, estimate, asked, causes, changing)
+
+    def found(self) -> list[Cause]:
+        """What the data demand; nothing where nothing explains what is left."""
+        causes = self.causes
+        delays = {doubt: found for doubt in causes.of("delay") if (found := self._delay(doubt))}
+        for doubt, one in delays.items():
+            causes.settle(doubt, one.left * causes.folds.energy)
+        others = [doubt for doubt in causes.of("zero", "gain", "drift", "term")]
+        chosen = causes.demanded([*delays, *others], sure=delays)
+        if not chosen:
+            followed = self._followed(delays)
+            return [followed] if followed is not None and self._matters(followed) else []
+        made = (self._cause(doubt, chosen, delays.get(doubt)) for doubt in chosen)
+        return [cause for cause in made if self._matters(cause)]
+
+    def _delay(self, doubt: Doubt) -> Settled | None:
+        """A delay once it is undone, or the low-pass that leaves less, if it is no chance."""
+        causes, energy = self.causes, self.causes.folds.energy
+        large = causes.before > LOST * energy
+        near = causes.is_sure(doubt) and causes.left([doubt]) < HALF * causes.before
+        if not (near or large):
+            return None
+        found = settled(self.asked, self.records, doubt)
+        if large and (found is None or not causes.is_little(found.left * energy)):
+            start = farther(self.asked, self.records, doubt)
+            found = settled(self.asked, self.records, doubt, start)
+        if found is None or not found.is_told:
+            return None
+        if found.seconds > 0:
+            lagged = settled(self.asked, self.records, doubt, found.seconds, lagged=True)
+            if lagged is not None:
+                found, other = sorted((found, lagged), key=lambda each: each.left)
+                found = found._replace(otherwise=other.left)
+        return found
+
+    def _cause(self, doubt: Doubt, chosen: Sequence[Doubt], delay: Settled | None) -> Cause:
+        """One of the doubts that are chosen, with what it does."""
+        causes, folds = self.causes, self.causes.folds
+        beside = [other for other in chosen if other is not doubt]
+        names, without = causes.names(chosen), causes.names(beside)
+        after = dict(zip(names, folds.fitted(names).tolist()))
+        instead = causes.instead(chosen, doubt)
+        return Cause(
+            doubt,
+            after[doubt.name] if delay is None else delay.seconds,
+            self._rms(causes.left(beside)),
+            self._rms(causes.left(chosen)),
+            self._moved(
+                after if delay is None else delay.values,
+                dict(zip(without, folds.fitted(without).tolist())),
+            ),
+            delay,
+            certain=all(causes.is_clear(chosen, doubt, other) for other in instead),
+            instead=tuple(instead),
+        )
+
+    def _followed(self, delays: Mapping[Doubt, Settled]) -> Cause | None:
+        """The delay of a single record that changes along it, if that explains what is left."""
+        causes, energy = self.causes, self.causes.folds.energy
+        if len(self.records) > 1 or not causes.before > VISIBLE**2 * energy:
+            return None
+        best: list[Cause] = []
+        for doubt in causes.of("delay"):
+            if doubt.signals not in self.changing:
+                continue
+            shifts = Shifts(self.asked, self.records[0], doubt.signals)
+            middle = delays[doubt].seconds if doubt in delays else causes.told(doubt).value
+            followed = shifts.course(round(middle / float(self.records[0].time_step)))
+            if followed is None or not causes.is_little(followed.left * energy):
+                continue
+            unmoved = dict(zip(causes.base, causes.folds.fitted(causes.base).tolist()))
+            moved = self._moved(followed.values, unmoved)
+            left = self._rms(followed.left * energy)
+            best.append(
+                Cause(doubt, 0.0, self._rms(causes.before), left, moved, course=followed.course)
+            )
+        return min(best, key=lambda cause: cause.left, default=None)
+
+    def _rms(self, energy: float) -> float:
+        return float(np.sqrt(max(energy, 0.0) / size_of(self.causes.folds.energy)))
+
+    def _moved(self, after: Mapping[str, float], before: Mapping[str, float]) -> dict[str, float]:
+        """Shares by which parameters change, each in the stage that finds it."""
+        found: dict[str, float] = {}
+        for column, value in before.items():
+            name = column.partition(".")[2]
+            if name in self.estimate.parameters and name not in found and value and column in after:
+                found[name] = after[column] / value - 1
+        return found
+
+    def _matters(self, cause: Cause) -> bool:
+        """Whether it moves some parameter by more than chance does."""
+        estimate = self.estimate
+        errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors, float)))
+        changes = {name: share * float(estimate[name]) for name, share in cause.moved.items()}
+        return any(abs(change) > MOVES * errors[name] for name, change in changes.items())
+
+
+def equation_faults(model: Model, records: Sequence[Record], estimate: Estimate) -> list[Finding]:
+    """Findings of what explains most of what a model's equations leave (not under jit).
+
+    `late_signal`, `low_passed`, `two_clocks`, `lost_rows`, `drifting_signal`, `wrong_zero`,
+    `wrong_gain` or `missing_term`.
+
+    **Raises:** as [`summarise`][riecjax.summarise].
+    """
+    weighing = Weighing.of(model, records, estimate)
+    return [] if weighing is None else [finding_of(one, model, records) for one in weighing.found()]
+
+
+class _Said(NamedTuple):
+    """What is told of a cause: its code, what it is, and what to do about it, in a sentence, by
+    options and in few words."""
+
+    code: str
+    what: str
+    then: str = ""
+    remedy: tuple[str, ...] = ()
+    step: str = ""
+
+
+def finding_of(cause: Cause, model: Model, records: Sequence[Record]) -> Finding:
+    """What is told of a cause, seen in records of a model."""
+    record, names = records[0], cause.doubt.signals
+    if cause.course.kind != "steady":
+        said = _of_course(cause, record)
+    elif cause.delay is not None:
+        said = _of_delay(cause.delay)
+    else:
+        said = _of_size(cause, model, record)
+    most = max(cause.moved, key=lambda name: abs(cause.moved[name]), default="")
+    moves = f", and {most} changes by {100 * cause.moved[most]:+.2g} %" if most else ""
+    message = (
+        f"{said.what}. With that taken off, the model leaves {100 * cause.left:.2g} % of the target "
+        f"beyond noise instead of {100 * cause.before:.2g} %{moves}."
+    )
+    remedy, step = said.remedy, said.step
+    if cause.instead:
+        others = " or ".join(map(described, cause.instead[:NAMED]))
+        message = f"{message} Nearly as much is explained by {others}."
+    if cause.certain:
+        message = f"{message} {said.then}".rstrip()
+    else:
+        # Which of them would be right these recordings cannot tell.
+        remedy, step = (), "Find out which it is by other motion, or by a calibration"
+    doubts = {name: abs(share) for name, share in cause.moved.items()}
+    return Finding(
+        said.code, message, names, tuple(doubts), doubts=doubts, remedy=remedy, step=step
+    )
+
+
+def described(doubt: Doubt) -> str:
+    """A doubt, in a few words."""
+    if doubt.candidate is not None:
+        return f"{doubt.candidate.meaning} ({doubt.candidate.name})"
+    return f"a {doubt.name}"
+
+
+def _of_delay(delay: Settled) -> _Said:
+    names = " and ".join(delay.signals)
+    milliseconds = f"{1e3 * abs(delay.seconds):.3g} ms"
+    size = f"{milliseconds} ({abs(delay.samples):.3g} samples, +-{1e3 * delay.reach:.2g} ms)"
+    if delay.low_passed and delay.certain:
+        remedy = option_for("--unfilter", delay.signals, f"{delay.seconds:.4g}")
+        return _Said(
+            "low_passed",
+            f"{names}: behind a first-order low-pass with a time constant of {size}, a cut-off at "
+            f"{1 / (2 * np.pi * delay.seconds):.3g} Hz",
+            f"Record it without that filter, or undo it ({shlex.join(remedy)}).",
+            remedy,
+            f"Undo the low-pass of {names}",
+        )
+    remedy = option_for("--shift", delay.signals, f"{delay.seconds:.4g}")
+    way = "earlier than the equation says: all others are late, or low-passed"
+    if delay.seconds > 0:
+        way = f"later than the equation says{'' if delay.certain else ', or low-passed'}"
+    return _Said(
+        "late_signal",
+        f"{names} come{'s' * (len(delay.signals) == 1)} {size} {way}",
+        f"Shift it (on the command line: {shlex.join(remedy)}), or record all by one clock.",
+        remedy,
+        f"{'Advance' if delay.seconds > 0 else 'Delay'} {names} by {milliseconds}",
+    )
+
+
+def _of_course(cause: Cause, record: Record) -> _Said:
+    signals, course, step = cause.doubt.signals, cause.course, float(record.time_step)
+    names, time = " and ".join(signals), np.asarray(record.elapsed)
+    if course.kind == "clocks":
+        # Clocks go on through pauses.
+        samples = float(time[-1] - time[0]) / step / (time.size - 1)
+        rate = 1e6 * course.change / (course.place[1] - course.place[0]) / samples
+        remedy = course.by_one_clock(signals, rate, step, float(time[0]))
+        action = f"Set the clock of {names}, or record it by that of the others"
+        return _Said(
+            "two_clocks",
+            f"{names} {course.way} the others evenly, {course.lasts}: its clock differs by "
+            f"{rate:.3g} ppm",
+            f"{action} ({shlex.join(remedy)}).",
+            remedy,
+            action,
+        )
+    reach = longest_delay([record])
+    first, last = (time[min(place + reach, time.size - 1)] for place in course.place)
+    remedy, action = (
+        course.in_time(first, last),
+        "Use the part of the record in which it is in time",
+    )
+    return _Said(
+        "lost_rows",
+        f"the delay of {names} jumps {course.lasts} between {first:.4g} and {last:.4g} s: "
+        f"{'all others have' if course.change > 0 else 'it has'} lost rows there",
+        f"{action} ({shlex.join(remedy)}).",
+        remedy,
+        action,
+    )
+
+
+def _of_size(cause: Cause, model: Model, record: Record) -> _Said:
+    """A zero, a gain, a drift, or a term that the model lacks."""
+    doubt, size = cause.doubt, cause.size
+    if (lacked := doubt.candidate) is not None:
+        equation = lacked.equation or model.equation_names[0][0]
+        unit = next(iter(lacked.terms[0].units.values()), "")
+        value = f"{lacked.columns[0]} = {size:.3g} {unit}".rstrip()
+        return _Said(
+            "missing_term",
+            f"{equation}: the model lacks a term, {lacked.meaning} ({value})",
+            "Add it (riecjax discover writes the model).",
+            step=f"Add the term that is missing, {lacked.meaning}: riecjax discover",
+        )
+    (name,) = doubt.signals
+    unit, time = record.signal(name).unit, np.asarray(record.time)
+    amount = f"{size:.3g} {unit}".rstrip()
+    if doubt.kind == "gain":
+        remedy = ("--scale", f"{name}={1 / (1 + size):.5g}")
+        step = f"Scale {name}"
+        return _Said(
+            "wrong_gain",
+            f"{name} is {1 + size:.4g} times what the equation says",
+            f"{step} ({shlex.join(remedy)}).",
+            remedy,
+            step,
+        )
+    if doubt.kind == "zero":
+        remedy = line_taken_off(name, time, size, 0.0)
+        step = f"Take the offset off {name}, or estimate the zero of a sensor"
+        return _Said(
+            "wrong_zero",
+            f"{name} reads {amount} more than the equation says, as with a wrong zero, or where a "
+            f"constant force is missing",
+            f"{step} ({shlex.join(remedy)}).",
+            remedy,
+            step,
+        )
+    remedy = line_taken_off(name, time, 0.0, size)
+    return _Said(
+        "drifting_signal",
+        f"what the model leaves grows evenly with time, as if {name} drifted by {amount} along the "
+        f"record",
+        f"Take it off (on the command line: {shlex.join(remedy)}), or look for what else changes "
+        f"with time, such as friction of a machine that warms up.",
+        remedy,
+        f"Take the straight line off {name}",
+    )
