@@ -11,7 +11,7 @@ import pytest
 import riecjax
 
 CORE = ("records", "simulation", "equations", "criteria", "summaries", "uncertainty", "estimation",
-        "refinement", "validation", "models", "discovery", "assessment", "reporting",
+        "refinement", "validation", "models", "doubts", "discovery", "assessment", "reporting",
         "cli")  # fmt: skip
 """Stages in the order of the data; a module imports from its own or an earlier one."""
 RIM = ("readers", "fleets", "paper", "studies")

@@ -195,7 +195,8 @@ class Told(NamedTuple):
 def chance(value: ArrayLike, error: ArrayLike, freedom: int) -> np.ndarray:
     """Probability that a coefficient is as far from zero by chance, by Student's t."""
     value, error = np.abs(np.asarray(value)), np.asarray(error)
-    away = np.where(error > 0, value / np.where(error > 0, error, 1.0), np.where(value > 0, np.inf, 0))
+    exact = np.where(value > 0, np.inf, 0.0)
+    away = np.where(error > 0, value / np.where(error > 0, error, 1.0), exact)
     return 2 * scipy.special.stdtr(max(freedom, 1), -away)
 
 

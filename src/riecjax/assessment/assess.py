@@ -27,6 +27,8 @@ from riecjax.assessment.refining import (
 from riecjax.assessment.verdict import Verdict, verdict
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.suited import criterion_for
+from riecjax.discovery.candidate import lacked
+from riecjax.doubts.equation_faults import demanded, finding_of
 from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.errors import DataError, IdentifiabilityError, require
 from riecjax.estimation.check import (
@@ -196,7 +198,7 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
         refined = None if refinement is None else refinement.answer
         if refined is None:
             of_sums.raise_if_refused()
-        residuals = residuals_tested(model, records, estimate, again)
+        residuals = residuals_tested(model, records, estimate, causes_found)
         failures += at_rest_findings(
             model, records, estimate, lambda other: again(records, other, intervals)
         )
@@ -221,6 +223,12 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
         failures=[*failures, *own.findings],
         key=settings.key,
     )
+
+
+def causes_found(model: Model, records: "list[Record]", estimate: Estimate) -> list[Finding]:
+    """What explains most of what a model leaves: faults of sensors, and terms that it lacks."""
+    causes = demanded(model, records, estimate, lacked)
+    return [finding_of(cause, model, records) for cause in causes]
 
 
 def answered(

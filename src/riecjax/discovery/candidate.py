@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from riecjax.doubts.columns import Doubt
 from riecjax.equations.bases import AbstractShape, DeadZone, Saturation, Stribeck
 from riecjax.equations.expressions import Expression, constant, even, odd, product, read_expression
 from riecjax.equations.memories import BoucWen, Dahl, Elapsed, Memory, usual_widths
@@ -168,6 +169,15 @@ def named(reference: str, name: str) -> Candidate:
         if one.name == name and isinstance(one, Candidate):
             return one
     raise ModelError(f"{reference} holds no candidate '{name}'.")
+
+
+def lacked(model: Model, records: Sequence[Record]) -> list[Doubt]:
+    """Of the usual candidates the terms that have neither width nor memory, as doubts."""
+    return [
+        Doubt(one.columns[0], "term", term=one.terms[0], equation=one.equation, meaning=one.meaning)
+        for one in default_candidates(model, records)
+        if isinstance(one, Candidate) and not one.memories and len(one.columns) == 1
+    ]
 
 
 WIDTHS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)

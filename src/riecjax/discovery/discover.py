@@ -11,6 +11,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for, with_velocities
 from riecjax.discovery.candidate import Candidate, as_candidates, default_candidates, members
 from riecjax.discovery.search import Question, Rejected, Step, Sums, again, extended, without_twins
+from riecjax.doubts.equation_faults import Cause, demanded, finding_of
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import HiddenMode, accelerated, mode_frequency
 from riecjax.equations.model import Model, as_model, with_rests
@@ -29,7 +30,6 @@ from riecjax.settings import taking
 from riecjax.shows import Shown
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import intervals_of
-from riecjax.validation.late_signals import SignalDelay, finding_of, late_cause
 
 if TYPE_CHECKING:
     from riecjax.records.record import Records
@@ -211,7 +211,7 @@ def _in_time(asked: Question, recordings: list[Recording]) -> tuple[Discovery, l
         told = answer.findings[-1]
         if told.code != "late_signal":
             break
-        moved = dict.fromkeys(late.signals, late.seconds)
+        moved = dict.fromkeys(late.doubt.signals, late.size)
         try:
             in_time = [replace(one, record=shift(one.record, moved)) for one in recordings]
             other, late = _found(asked, in_time)
@@ -225,7 +225,7 @@ def _in_time(asked: Question, recordings: list[Recording]) -> tuple[Discovery, l
     return replace(answer, findings=(*known, *answer.findings)), recordings
 
 
-def _found(asked: Question, whole: list[Recording]) -> tuple[Discovery, SignalDelay | None]:
+def _found(asked: Question, whole: list[Recording]) -> tuple[Discovery, Cause | None]:
     """What is found in recordings as they are, and the delay that explains what is left."""
     first, last = asked.parts(whole)
     model, settings = asked.model, asked.settings
@@ -262,9 +262,12 @@ def _found(asked: Question, whole: list[Recording]) -> tuple[Discovery, SignalDe
     late = None
     # Of signals that contradict each other an equation blames the wrong one.
     if not any(finding.about.disorder for finding in amiss):
+        records = [recording.record for recording in last]
         with contextlib.suppress(RiecjaxError):  # too short to tell
-            late = late_cause(larger, [recording.record for recording in last], estimate)
-    amiss += [] if late is None else [finding_of(late, last[0].record)]
+            # Terms are what is searched for; of sensors a delay alone passes for none of them.
+            causes = demanded(larger, records, estimate)
+            late = next((one for one in causes if one.doubt.kind == "delay"), None)
+            amiss += [] if late is None else [finding_of(late, larger, records)]
     answer = Discovery(
         larger,
         model,

@@ -1,1 +1,1 @@
-"""Whatever else may be amiss with an equation, as columns of it: sensors, and terms that it lacks."""
+"""Whatever may be amiss with an equation beside its values, as columns of it."""

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from riecjax.doubts.columns import Doubt
+from riecjax.equations.expressions import constant
 from riecjax.folds import Beside, Folds, Told
 from riecjax.linear_algebra import unit_diagonal
 
@@ -135,13 +136,21 @@ class Causes:
         return bool(most > enough or self.before > LOST * self.folds.energy)
 
     def nearest(self, most: int) -> list[Doubt]:
-        """All delays, and of the other doubts those that gain most by themselves."""
-        gained = dict(zip((doubt.name for doubt in self.every), self._beside([]).gained.tolist()))
-        others = [
-            doubt for doubt in self.of("zero", "gain", "drift", "term") if self.is_sure(doubt)
-        ]
-        others.sort(key=lambda doubt: -gained[doubt.name])
-        return [*self.of("delay"), *others[:most]]
+        """All delays; of the other doubts those that gain most by themselves, and beside the best;
+        and of what drifts the zero as well."""
+        others, near = self.of("zero", "gain", "drift", "term"), self.of("delay")
+        best: list[Doubt] = []
+        for _ in range(2):
+            gained = self._beside(best).gained
+            sure = [doubt for doubt in others if doubt not in near and self.is_sure(doubt, best)]
+            sure.sort(key=lambda doubt: -gained[self.every.index(doubt)])
+            near += sure[:most]
+            best = sure[:1]
+            if not best:
+                break
+        drifting = {doubt.signals for doubt in near if doubt.kind == "drift"}
+        near += [doubt for doubt in self.of("zero") if doubt.signals in drifting]
+        return [doubt for doubt in self.every if doubt in near]
 
     def demanded(self, among: Sequence[Doubt], sure: Container[Doubt] = ()) -> list[Doubt]:
         """Of some doubts those that are the cause of what is left, none where nothing explains it.
@@ -158,10 +167,18 @@ class Causes:
             best = min(others, key=lambda doubt: self.left([*chosen, doubt]), default=None)
             if best is None or not self.left([*chosen, best]) < self.left(chosen):
                 break
-            chosen.append(best)
+            same = [doubt for doubt in among if doubt is best or doubt in self.same_as(best, among)]
+            chosen.append(min(same, key=_simplicity))
             if self.is_little(self.left(chosen)):
                 return self._pruned(chosen)
         return []
+
+    def same_as(self, doubt: Doubt, among: Sequence[Doubt]) -> list[Doubt]:
+        """The other doubts whose columns are the same, whatever the recording: the zero of a force
+        and a constant force."""
+        own = self._beside([doubt]).own
+        at = {id(one): place for place, one in enumerate(self.every)}
+        return [one for one in among if one is not doubt and not own[at[id(one)]] > OWN]
 
     def instead(self, chosen: Sequence[Doubt], cause: Doubt) -> list[Doubt]:
         """Doubts that explain what is left in the place of a cause, best first."""
@@ -180,6 +197,16 @@ class Causes:
         beside = [doubt for doubt in chosen if doubt is not cause]
         least = max(CLEARER * self.left(chosen), OF_NOISE * self.noise)
         return self.left([*beside, other]) > least
+
+    def is_zero_of(self, doubt: Doubt, drifting: Sequence[Doubt]) -> bool:
+        """Whether a doubt is the zero of a signal that drifts, or a constant that is the same."""
+        zeros = [one for one in self.of("zero") if any(one.signals == d.signals for d in drifting)]
+        return any(one is doubt or one in self.same_as(doubt, [one]) for one in zeros)
+
+    def is_certain(self, chosen: Sequence[Doubt], cause: Doubt, others: Sequence[Doubt]) -> bool:
+        """Whether all others in the place of a cause are the same or leave clearly more."""
+        same = self.same_as(cause, others)
+        return all(other in same or self.is_clear(chosen, cause, other) for other in others)
 
     def _pruned(self, chosen: list[Doubt]) -> list[Doubt]:
         """Without those without which the rest explains as much."""
@@ -200,3 +227,11 @@ class Causes:
         along = np.linalg.pinv(scaled[np.ix_(beside, beside)], 1e-12, hermitian=True)
         own = scaled[at, at] - scaled[at, beside] @ along @ scaled[beside, at]
         return not own > OWN
+
+
+def _simplicity(doubt: Doubt) -> int:
+    """What is said first of doubts that are the same: a constant, a zero, any other term; of
+    these, what comes first."""
+    if doubt.term is not None:
+        return 0 if doubt.term.of is constant else 2
+    return 1 if doubt.kind == "zero" else 3

@@ -29,7 +29,6 @@ from jaxtyping import Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.windows import WindowSet
-from riecjax.discovery.candidate import Candidate
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model
@@ -66,14 +65,16 @@ class Doubt:
     """What may be amiss: a column.
 
     **Fields:** `name`, of its column; `kind`; the `signals` that it changes, all by one `course`;
-    or the `candidate` of discovery whose terms the model may lack.
+    or the `term` that an `equation` may lack, by its `meaning`.
     """
 
     name: str
     kind: str
     signals: tuple[str, ...] = ()
     course: Course | None = None
-    candidate: Candidate | None = None
+    term: AbstractTerm | None = None
+    equation: str = ""
+    meaning: str = ""
 
     def changes(self, samples: Samples, time: Samples) -> Samples:
         """How a fault of unit size changes a signal's samples."""
@@ -144,8 +145,9 @@ class _Rows(NamedTuple):
 class _Columns:
     """How one equation's columns are made, with the terms that it may lack.
 
-    **Fields:** the `plain` equation, and that of terms which it may have `lacked`; `doubts` of sensors; `values` of the
-    estimate, of known coefficients too; `criterion`; whose `noise` is taken off.
+    **Fields:** the `plain` equation, and that of terms which it may have `lacked`; `doubts` of
+    sensors; `values` of the estimate, of known coefficients too; `criterion`; whose `noise` is
+    taken off.
     """
 
     plain: Equation
@@ -175,11 +177,12 @@ class _Columns:
 
         def changed(of: Record) -> list[Float[np.ndarray, "orders 1 n"]]:
             samples = {name: np.asarray(of.arrays[name], float) for name in touched}
-            return [
-                sum(slopes[name] * doubt.changes(samples[name], time) for name in doubt.signals
-                    if name in slopes)[:, None]
-                for doubt in sensors
-            ]  # fmt: skip
+            found = []
+            for doubt in sensors:
+                own = [name for name in doubt.signals if name in slopes]
+                parts = [slopes[name] * doubt.changes(samples[name], time) for name in own]
+                found.append(np.sum(parts, axis=0)[:, None])
+            return found
 
         def integrated(parts: Sequence[np.ndarray]) -> Float[np.ndarray, "columns rows"]:
             values = np.concatenate(parts, axis=1)
@@ -263,15 +266,12 @@ def folds_of(
     parameters alone, or of none.
     """
     model, criterion, values = asked.model, asked.criterion, asked.values
-    memories = list(model.memories)
     terms: dict[str, list[AbstractTerm]] = {}
     for doubt in doubts:
-        if (lacked := doubt.candidate) is not None:
-            name = lacked.equation or model.equation_names[0][0]
-            terms.setdefault(name, []).extend(lacked.terms)
-            memories += lacked.memories
+        if doubt.term is not None:
+            terms.setdefault(doubt.equation, []).append(doubt.term)
     records = [each.part(0, min(each.sample_count, MOST_SAMPLES)) for each in records]
-    records = [with_memories(record, memories) for record in records]
+    records = [with_memories(record, model.memories) for record in records]
     windows = windows_of(criterion, records)
     fold = np.concatenate([each.fold for each in windows])
     sensors = [doubt for doubt in doubts if doubt.course is not None]
@@ -352,8 +352,8 @@ def _products(stages: Sequence[_Rows], fold: Int[np.ndarray, " rows"]) -> Folds:
         place = np.tile(fold, stage.rows.shape[1] // fold.size)
         for number in range(count):
             some = place == number
-            here = np.ix_([number], at, at)
-            samples[here] += (stage.rows[:, some] @ stage.rows[:, some].T)[None]
+            here = number, at[:, None], at
+            samples[here] += stage.rows[:, some] @ stage.rows[:, some].T
             for one in stage.noises:
-                noise[here] += (one[:, some] @ one[:, some].T)[None] / len(stage.noises)
+                noise[here] += one[:, some] @ one[:, some].T / len(stage.noises)
     return Folds(samples, samples - noise, names)

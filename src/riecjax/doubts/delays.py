@@ -22,11 +22,11 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax import tails
-from riecjax.doubts.candidates import longest_delay
 from riecjax.doubts.causes import CLEARER, LEVEL, OF_NOISE
 from riecjax.doubts.columns import Asked, Doubt, folds_of
+from riecjax.doubts.offered import longest_delay
 from riecjax.errors import DataError
-from riecjax.folds import Folds, solved
+from riecjax.folds import Folds, Told, solved
 from riecjax.records.faults.derivative_pairs import Course, changing
 from riecjax.records.preparation.filtering import unfilter
 from riecjax.records.preparation.resampling import shift
@@ -46,9 +46,9 @@ class Settled(NamedTuple):
     """How late `signals` are, once that is undone.
 
     **Fields:** `seconds`, of a first-order low-pass where it is `low_passed`; their standard
-    `error` and `reach`, half an interval at the level of an answer; `left` beyond noise and `noise`,
-    as shares of the target's energy, and `otherwise`, what the other of delay and low-pass leaves;
-    `values` of parameters by stage and name; `step` between samples.
+    `error` and `reach`, half an interval at the level of an answer; `left` beyond noise and
+    `noise`, as shares of the target's energy, and `otherwise`, what the other of delay and low-pass
+    leaves; `values` of parameters by stage and name; `step` between samples.
     """
 
     signals: tuple[str, ...]
@@ -85,7 +85,7 @@ def settled(
     no step settles it."""
     seconds, most = start, longest_delay(records) * float(records[0].time_step)
     step = TURN / _rate(records, doubt.signals)
-    for _ in range(TURNS):
+    for turn in range(TURNS):
         undone = _undone(records, doubt.signals, seconds, lagged)
         if undone is None:
             return None
@@ -94,31 +94,23 @@ def settled(
         told = folds.told((*names, doubt.name), doubt.name)
         if not (np.isfinite(told.value) and np.isfinite(told.error)):
             return None
-        if abs(told.value) <= SETTLED * told.error or abs(told.value) < 1e-9 * most:
-            break
+        if abs(told.value) <= max(SETTLED * told.error, 1e-9 * most) or turn == TURNS - 1:
+            return _settled(doubt, seconds, told, folds, float(records[0].time_step), lagged)
         seconds += float(np.clip(told.value, -step, step))
         if abs(seconds) > most or (lagged and seconds <= 0):
             return None
-    left = folds.left(names)
-    motion, samples = (float(part.sum()) / folds.energy for part in left)
+    return None
+
+
+def _settled(
+    doubt: Doubt, seconds: float, told: Told, folds: Folds, step: float, lagged: bool
+) -> Settled:
+    names = tuple(name for name in folds.parameters if name != doubt.name)
+    motion, samples = (float(part.sum()) / folds.energy for part in folds.left(names))
     reach = float(tails.student(LEVEL / 2, told.freedom)) * told.error
     values = dict(zip(names, folds.fitted(names).tolist()))
-    noise, step = max(samples - motion, 0.0), float(records[0].time_step)
+    noise = max(samples - motion, 0.0)
     return Settled(doubt.signals, seconds, told.error, reach, motion, noise, values, step, lagged)
-
-
-def farther(asked: Asked, records: Sequence[Record], doubt: Doubt) -> float:
-    """The delay in seconds that leaves least, of some that lie within a column's reach of each
-    other."""
-    step, most = float(records[0].time_step), longest_delay(records)
-    apart = max(int(TURN / _rate(records, doubt.signals) / step), 1)
-
-    def left(count: int) -> float:
-        moved = [advanced(one, doubt.signals, count, most) for one in records]
-        folds = folds_of(asked, moved, [])
-        return float(folds.left(folds.parameters).motion.sum()) / folds.energy
-
-    return step * min(range(-most + most % apart, most + 1, apart), key=left)
 
 
 def _undone(
@@ -174,48 +166,72 @@ class Followed(NamedTuple):
 
 @dataclass
 class Shifts:
-    """Sums by fold of a record, some signals of which are advanced by whole samples."""
+    """Sums by fold of records, some signals of which are advanced by whole samples."""
 
     asked: Asked
-    record: Record
+    records: Sequence[Record]
     signals: tuple[str, ...]
     known: dict[int, Folds] = field(default_factory=dict)
 
-    @property
-    def reach(self) -> int:
-        """Samples that signals are advanced or delayed by at the most."""
-        return longest_delay([self.record])
+    def __post_init__(self):
+        self.reach = longest_delay(self.records)
+        step = float(self.records[0].time_step)
+        self.apart = max(int(TURN / _rate(self.records, self.signals) / step), 1)
 
     def sums(self, count: int) -> Folds:
         """With so many samples undone."""
         if count not in self.known:
-            moved = advanced(self.record, self.signals, count, self.reach)
+            moved = [advanced(one, self.signals, count, self.reach) for one in self.records]
             # A shift leaves noise what it was.
-            noise = "" if self.known else "all"
-            found = folds_of(self.asked, [moved], [], noise)
+            found = folds_of(self.asked, moved, [], "" if self.known else "all")
             first = next(iter(self.known.values()), found)
-            self.known[count] = found._replace(
-                motion=found.samples - (first.samples - first.motion)
-            )
+            motion = found.samples - (first.samples - first.motion)
+            self.known[count] = found._replace(motion=motion)
         return self.known[count]
 
-    def course(self, middle: int) -> Followed | None:
-        """The course of a delay, if it is none that stays, about this one."""
+    @property
+    def every(self) -> range:
+        """Shifts within a column's reach of each other."""
+        return range(-self.reach + self.reach % self.apart, self.reach + 1, self.apart)
+
+    def start(self) -> int:
+        """The shift of these that leaves least."""
+
+        def left(count: int) -> float:
+            folds = self.sums(count)
+            return float(folds.left(folds.parameters).motion.sum()) / folds.energy
+
+        return min(self.every, key=left)
+
+    def course(self, middle: int, large: bool) -> Followed | None:
+        """The course of a delay about this one, if it is none that stays.
+
+        **Arguments:** `large`, whether it may be of any size.
+        """
         near = self._among(range(middle - 1, middle + 2))
-        # Parts whose delays are far from the middle one are not told by three delays next to it.
-        if near is not None and (near.statistic < PERHAPS or abs(near.course.change) < SLIGHT):
+        found = near is not None and self._changes(near, SLIGHT)
+        if not found and large:
+            # Parts whose delays are far from the middle one are not told by three next to it.
+            far = self._among(self.every)
+            found = far is not None and self._changes(far, 1.0)
+            middle = 0
+        if not found:
             return None
-        first, last = max(middle - FARTHEST, -self.reach), min(middle + FARTHEST, self.reach)
+        most = self.reach if large else FARTHEST
+        first, last = max(middle - most, -self.reach), min(middle + most, self.reach)
         best = self._among(range(first, last + 1))
         if best is None or best.statistic < CERTAIN:
             return None
         return best if abs(best.course.change) > LEAST[best.course.kind] else None
 
+    def _changes(self, found: Followed, least: float) -> bool:
+        return found.statistic > PERHAPS and abs(found.course.change) > least
+
     def _among(self, counts: range) -> Followed | None:
         """The best course with delays among these."""
         every = [self.sums(count) for count in counts]
         folds, names = every[0].number, every[0].parameters
-        if folds < FEWEST_PARTS or any(one.number != folds for one in every):
+        if folds < FEWEST_PARTS or len(every) < 3 or any(one.number != folds for one in every):
             return None
         motion, samples = (
             np.stack([getattr(one, of) for one in every]) for of in ("motion", "samples")
@@ -250,10 +266,11 @@ class Shifts:
             moved = 0.5 * (low - high) / np.where(bend > 0, bend, 1.0)
             bend = np.where((bend > 0) & (np.abs(moved) < reach), bend, 0.0)
             places = lowest + np.clip(moved, -reach, reach)
-        edges = np.linspace(0, self.record.sample_count, folds + 1).round().astype(int).tolist()
+        edges = np.linspace(0, self.records[0].sample_count, folds + 1).round().astype(int).tolist()
         told = bend > 0
         errors = 1 / np.sqrt(np.where(told, bend, 1.0))
-        delays = np.stack([places + counts[0], errors, edges[:-1], edges[1:]])[:, told]
+        samples_late = counts[0] + counts.step * places
+        delays = np.stack([samples_late, counts.step * errors, edges[:-1], edges[1:]])[:, told]
         if delays.shape[1] < FEWEST_PARTS:
             return None
         # Errors are known up to a factor, which the course that leaves least tells.

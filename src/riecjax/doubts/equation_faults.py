@@ -1,4 +1,4 @@
-"""What the data demand of a model's equations: faults of sensors, and terms that it lacks, in words.
+"""What the data demand of a model's equations: faults of sensors and missing terms, in words.
 
 All doubts are weighed at once, from one pass over rows of windows. A delay that is significant is
 undone, taken again, and held against a low-pass; one that changes along the record is followed. A
@@ -8,16 +8,17 @@ recordings cannot tell which of them would be right.
 """
 
 import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.doubts.candidates import longest_delay, plausible, sensors, terms
 from riecjax.doubts.causes import FEWEST, LOST, Causes
 from riecjax.doubts.columns import Asked, Doubt, folds_of
-from riecjax.doubts.delays import Settled, Shifts, farther, settled
+from riecjax.doubts.delays import Settled, Shifts, settled
+from riecjax.doubts.offered import longest_delay, plausible, sensors
+from riecjax.equations import expressions
 from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, line_taken_off, option_for
@@ -32,11 +33,10 @@ VISIBLE = 0.003
 """Rms left beyond noise, over the target, from which a delay that changes is looked for."""
 MOVES = 1.0
 """Standard errors by which a cause moves some parameter at the least."""
+SLIGHT = 1e-3
+"""Share of a drift that an offset beside it is at the least."""
 NEAR = 8
 """Doubts that gain most, of which noise is taken off."""
-NAMED = 2
-"""Equivalent causes that are named beside one."""
-CONSTANT = "constant force"
 
 
 class Cause(NamedTuple):
@@ -45,7 +45,8 @@ class Cause(NamedTuple):
     **Fields:** `doubt`; its `size` in the unit of its column; rms that is left beyond noise with
     it, `left`, and without, `before`, as shares of the target's; `moved`, shares by which
     parameters change with it; `delay` once it is undone, and `course` of one that changes;
-    `certain`, whether all other doubts leave clearly more; `instead`, those that explain as much.
+    `offset` of what drifts at the record's middle; `instead`, other doubts that explain nearly as
+    much, of which some are the `same` column, and `certain`, whether all others leave clearly more.
     """
 
     doubt: Doubt
@@ -55,8 +56,10 @@ class Cause(NamedTuple):
     moved: Mapping[str, float]
     delay: Settled | None = None
     course: Course = Course()
+    offset: float = 0.0
     certain: bool = True
     instead: tuple[Doubt, ...] = ()
+    same: tuple[Doubt, ...] = ()
 
 
 @dataclass(eq=False)
@@ -72,9 +75,15 @@ class Weighing:
     changing: Collection[tuple[str, ...]]
 
     @classmethod
-    def of(cls, model: Model, records: Sequence[Record], estimate: Estimate) -> "Weighing | None":
-        """Of an estimate; `None` of hidden elements, parameters of each recording, windows drawn
-        at random, and records too short for blocks to scatter."""
+    def of(
+        cls,
+        model: Model,
+        records: Sequence[Record],
+        estimate: Estimate,
+        lacked: Callable[[Model, Sequence[Record]], Sequence[Doubt]],
+    ) -> "Weighing | None":
+        """Of an estimate; `None` where nothing may be a cause, of hidden elements, parameters of
+        each recording, windows drawn at random, and records too short for blocks to scatter."""
         criterion = estimate.criterion
         own = any(estimate.table[name].recording is not None for name in estimate.parameters)
         if model.has_hidden or own or criterion.all_windows is None or estimate.summary is None:
@@ -82,7 +91,7 @@ class Weighing:
         if longest_delay(records) < 3 or int(estimate.block_count) < FEWEST:
             return None
         read = {n for each in records for n in signals_read(model, each, criterion, summed=True)}
-        doubts = [*sensors(model, records, read), *terms(model, records)]
+        doubts = [*sensors(model, records, read), *lacked(model, records)]
         asked, sizes = Asked.of(model, estimate), plausible(doubts, records)
         # Noise is taken off those alone that may be a cause.
         rough = Causes(folds_of(asked, records, doubts, "plain"), doubts, sizes)
@@ -107,6 +116,8 @@ class Weighing:
             causes.settle(doubt, one.left * causes.folds.energy)
         others = [doubt for doubt in causes.of("zero", "gain", "drift", "term")]
         chosen = causes.demanded([*delays, *others], sure=delays)
+        drifting = [doubt for doubt in chosen if doubt.kind == "drift"]
+        chosen = [doubt for doubt in chosen if not causes.is_zero_of(doubt, drifting)]
         if not chosen:
             followed = self._followed(delays)
             return [followed] if followed is not None and self._matters(followed) else []
@@ -122,7 +133,8 @@ class Weighing:
             return None
         found = settled(self.asked, self.records, doubt)
         if large and (found is None or not causes.is_little(found.left * energy)):
-            start = farther(self.asked, self.records, doubt)
+            shifts = Shifts(self.asked, self.records, doubt.signals)
+            start = shifts.start() * float(self.records[0].time_step)
             found = settled(self.asked, self.records, doubt, start)
         if found is None or not found.is_told:
             return None
@@ -137,6 +149,9 @@ class Weighing:
         """One of the doubts that are chosen, with what it does."""
         causes, folds = self.causes, self.causes.folds
         beside = [other for other in chosen if other is not doubt]
+        drifts = doubt.kind == "drift"
+        zeros = [one for one in causes.of("zero") if drifts and one.signals == doubt.signals]
+        chosen = [*chosen, *zeros]
         names, without = causes.names(chosen), causes.names(beside)
         after = dict(zip(names, folds.fitted(names).tolist()))
         instead = causes.instead(chosen, doubt)
@@ -150,7 +165,9 @@ class Weighing:
                 dict(zip(without, folds.fitted(without).tolist())),
             ),
             delay,
-            certain=all(causes.is_clear(chosen, doubt, other) for other in instead),
+            offset=after[zeros[0].name] if zeros else 0.0,
+            certain=causes.is_certain(chosen, doubt, instead),
+            same=tuple(causes.same_as(doubt, instead)),
             instead=tuple(instead),
         )
 
@@ -159,13 +176,13 @@ class Weighing:
         causes, energy = self.causes, self.causes.folds.energy
         if len(self.records) > 1 or not causes.before > VISIBLE**2 * energy:
             return None
-        best: list[Cause] = []
+        best, large = list[Cause](), causes.before > LOST * energy
         for doubt in causes.of("delay"):
-            if doubt.signals not in self.changing:
+            if not (large or doubt.signals in self.changing):
                 continue
-            shifts = Shifts(self.asked, self.records[0], doubt.signals)
-            middle = delays[doubt].seconds if doubt in delays else causes.told(doubt).value
-            followed = shifts.course(round(middle / float(self.records[0].time_step)))
+            shifts = Shifts(self.asked, self.records, doubt.signals)
+            middle = delays[doubt].seconds if doubt in delays else 0.0
+            followed = shifts.course(round(middle / float(self.records[0].time_step)), large)
             if followed is None or not causes.is_little(followed.left * energy):
                 continue
             unmoved = dict(zip(causes.base, causes.folds.fitted(causes.base).tolist()))
@@ -196,16 +213,25 @@ class Weighing:
         return any(abs(change) > MOVES * errors[name] for name, change in changes.items())
 
 
-def equation_faults(model: Model, records: Sequence[Record], estimate: Estimate) -> list[Finding]:
-    """Findings of what explains most of what a model's equations leave (not under jit).
+def nothing(model: Model, records: Sequence[Record]) -> Sequence[Doubt]:
+    """No term that a model may lack."""
+    return ()
 
-    `late_signal`, `low_passed`, `two_clocks`, `lost_rows`, `drifting_signal`, `wrong_zero`,
-    `wrong_gain` or `missing_term`.
+
+def demanded(
+    model: Model,
+    records: Sequence[Record],
+    estimate: Estimate,
+    lacked: Callable[[Model, Sequence[Record]], Sequence[Doubt]] = nothing,
+) -> list[Cause]:
+    """What the data demand, of what may be amiss (not under jit).
+
+    **Arguments:** `lacked`, terms that a model may lack, besides faults of its sensors.
 
     **Raises:** as [`summarise`][riecjax.summarise].
     """
-    weighing = Weighing.of(model, records, estimate)
-    return [] if weighing is None else [finding_of(one, model, records) for one in weighing.found()]
+    weighing = Weighing.of(model, records, estimate, lacked)
+    return [] if weighing is None else weighing.found()
 
 
 class _Said(NamedTuple):
@@ -221,7 +247,10 @@ class _Said(NamedTuple):
 
 def finding_of(cause: Cause, model: Model, records: Sequence[Record]) -> Finding:
     """What is told of a cause, seen in records of a model."""
-    record, names = records[0], cause.doubt.signals
+    record = records[0]
+    names = cause.doubt.signals or tuple(n for one in cause.same for n in one.signals)
+    if cause.doubt.term is not None and not names:
+        names = expressions.signals_read(cause.doubt.term.of)
     if cause.course.kind != "steady":
         said = _of_course(cause, record)
     elif cause.delay is not None:
@@ -231,13 +260,20 @@ def finding_of(cause: Cause, model: Model, records: Sequence[Record]) -> Finding
     most = max(cause.moved, key=lambda name: abs(cause.moved[name]), default="")
     moves = f", and {most} changes by {100 * cause.moved[most]:+.2g} %" if most else ""
     message = (
-        f"{said.what}. With that taken off, the model leaves {100 * cause.left:.2g} % of the target "
-        f"beyond noise instead of {100 * cause.before:.2g} %{moves}."
+        f"{said.what}. With that {'let in' if cause.doubt.term else 'taken off'}, the model leaves "
+        f"{100 * cause.left:.2g} % of the target beyond noise instead of {100 * cause.before:.2g} %"
+        f"{moves}."
     )
     remedy, step = said.remedy, said.step
-    if cause.instead:
-        others = " or ".join(map(described, cause.instead[:NAMED]))
-        message = f"{message} Nearly as much is explained by {others}."
+    # The best term, and the best sensor.
+    others = [one for one in cause.instead if one not in cause.same]
+    kinds = {one.term is None: one for one in reversed(others)}
+    others = [one for one in others if one in kinds.values()]
+    if cause.same:
+        message = f"{message} The same is {' or '.join(map(described, cause.same))}."
+    if others:
+        listed = " or ".join(map(described, others))
+        message = f"{message} Nearly as much is explained by {listed}."
     if cause.certain:
         message = f"{message} {said.then}".rstrip()
     else:
@@ -251,8 +287,8 @@ def finding_of(cause: Cause, model: Model, records: Sequence[Record]) -> Finding
 
 def described(doubt: Doubt) -> str:
     """A doubt, in a few words."""
-    if doubt.candidate is not None:
-        return f"{doubt.candidate.meaning} ({doubt.candidate.name})"
+    if doubt.term is not None:
+        return f"{doubt.meaning} ({doubt.name})"
     return f"a {doubt.name}"
 
 
@@ -316,18 +352,46 @@ def _of_course(cause: Cause, record: Record) -> _Said:
     )
 
 
+def _of_zero(cause: Cause, model: Model, record: Record) -> _Said:
+    """The zero of a sensor, and the constant that it may be as well."""
+    doubt, size = cause.doubt, cause.size
+    zeros = [one.signals[0] for one in (doubt, *cause.same) if one.kind == "zero"]
+    if doubt.term is not None:
+        unit = next(iter(doubt.term.units.values()), "")
+        what = f"a constant of {size:.3g} {unit}".rstrip()
+        what = f"{what} is missing, that of a wrong zero or of a force that the model lacks"
+    else:
+        amount = f"{size:.3g} {record.signal(zeros[0]).unit}".rstrip()
+        what = f"{zeros[0]} reads {amount} more than the equation says"
+    known = [t for e in model.equations for t in e.terms if t.signal and not t.parameters]
+    inputs = [str(t.signal) for t in known if not t.derivative and t.signal in zeros]
+    if inputs:
+        remedy = ("--unknown-offset", inputs[0])
+        then = f"Estimate it (on the command line: {shlex.join(remedy)}; "
+        then += "rx.Term('offset', rx.constant))"
+        step = f"Estimate the zero of the sensor of {inputs[0]}, or a constant force"
+    else:
+        remedy = (
+            line_taken_off(zeros[0], np.asarray(record.time), size, 0.0) if doubt.signals else ()
+        )
+        then = step = f"Take the offset off {zeros[0]}"
+        then += f" (on the command line: {shlex.join(remedy)})" if remedy else ""
+    return _Said("wrong_zero", what, f"{then}.", remedy, step)
+
+
 def _of_size(cause: Cause, model: Model, record: Record) -> _Said:
     """A zero, a gain, a drift, or a term that the model lacks."""
     doubt, size = cause.doubt, cause.size
-    if (lacked := doubt.candidate) is not None:
-        equation = lacked.equation or model.equation_names[0][0]
-        unit = next(iter(lacked.terms[0].units.values()), "")
-        value = f"{lacked.columns[0]} = {size:.3g} {unit}".rstrip()
+    if any(one.kind == "zero" for one in (doubt, *cause.same)):
+        return _of_zero(cause, model, record)
+    if doubt.term is not None:
+        unit = next(iter(doubt.term.units.values()), "")
+        value = f"{doubt.name} = {size:.3g} {unit}".rstrip()
         return _Said(
             "missing_term",
-            f"{equation}: the model lacks a term, {lacked.meaning} ({value})",
+            f"{doubt.equation}: the model lacks a term, {doubt.meaning} ({value})",
             "Add it (riecjax discover writes the model).",
-            step=f"Add the term that is missing, {lacked.meaning}: riecjax discover",
+            step=f"Add the term that is missing, {doubt.meaning}: riecjax discover",
         )
     (name,) = doubt.signals
     unit, time = record.signal(name).unit, np.asarray(record.time)
@@ -342,18 +406,8 @@ def _of_size(cause: Cause, model: Model, record: Record) -> _Said:
             remedy,
             step,
         )
-    if doubt.kind == "zero":
-        remedy = line_taken_off(name, time, size, 0.0)
-        step = f"Take the offset off {name}, or estimate the zero of a sensor"
-        return _Said(
-            "wrong_zero",
-            f"{name} reads {amount} more than the equation says, as with a wrong zero, or where a "
-            f"constant force is missing",
-            f"{step} ({shlex.join(remedy)}).",
-            remedy,
-            step,
-        )
-    remedy = line_taken_off(name, time, 0.0, size)
+    offset = cause.offset if abs(cause.offset) > SLIGHT * abs(size) else 0.0
+    remedy = line_taken_off(name, time, offset, size)
     return _Said(
         "drifting_signal",
         f"what the model leaves grows evenly with time, as if {name} drifted by {amount} along the "

@@ -9,8 +9,6 @@ from .held_out import percentage_error as percentage_error
 from .held_out import validate as validate
 from .held_out import validate_held_out as validate_held_out
 from .held_out import variance_accounted_for as variance_accounted_for
-from .late_signals import SignalDelay as SignalDelay
-from .late_signals import signal_delays as signal_delays
 from .residuals import ResidualTests as ResidualTests
 from .residuals import residual_tests as residual_tests
 from .sweep import LONGER as LONGER

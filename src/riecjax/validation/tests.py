@@ -58,31 +58,29 @@ def residuals_tested(
     model: Model,
     records: list[Record],
     estimate: Estimate,
-    again: Callable[[list[Record]], Estimate],
+    faults_of: Callable[[Model, list[Record], Estimate], list[Finding]],
 ) -> Tested:
-    """Tests of what equations leave, the windows that it suggests, and inputs that drift.
+    """Tests of what equations leave, and the windows that it suggests.
 
-    **Arguments:** `again` estimates in the same way from other records.
+    **Arguments:** `faults_of`, which finds what explains most of what is left.
     """
     # Not earlier: who only checks recordings waits for none of these.
     from riecjax.validation.choice import window_choice
     from riecjax.validation.equation_errors import errors_over_records
-    from riecjax.validation.input_faults import drifting_inputs, silent_inputs
-    from riecjax.validation.late_signals import late_signals
     from riecjax.validation.residuals import residual_tests
+    from riecjax.validation.silent_inputs import silent_inputs
 
     # A fit is not lost because what it leaves cannot be tested.
     try:
         errors = errors_over_records(model, records, estimate.values)
         silent = silent_inputs(model.equations, records, errors, estimate.criterion.windows)
-        faults = tuple(silent) or tuple(late_signals(model, records, estimate))
-        drifting = [] if faults else [*drifting_inputs(model, records, errors, estimate, again)]
+        faults = tuple(silent) or tuple(faults_of(model, records, estimate))
         tests: list[Test] = [residual_tests(model, records, estimate, errors=errors, faults=faults)]
         if estimate.criterion.windows is not None:
             tests.append(window_choice(model, records, estimate, errors=errors))
     except RiecjaxError as error:
         return Tested([], [Finding("residuals_not_tested", str(error))])
-    return Tested(tests, drifting)
+    return Tested(tests, [])
 
 
 def own_tests(

@@ -1,4 +1,4 @@
-"""What is doubted of a model's equations: the sensors that they read, and terms that they may lack.
+"""What is doubted of the sensors that a model's equations read.
 
 Plausible sizes, beyond which a doubt is no cause, are shares of what a signal does: a zero or drift
 of `REACH` times its range, a delay of `LONGEST` samples and of a part of the record.
@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from riecjax.discovery.candidate import Candidate, default_candidates
 from riecjax.doubts.columns import Doubt, Samples
 from riecjax.equations.hidden_elements import accelerated
 from riecjax.equations.model import Model
@@ -72,12 +71,13 @@ def courses_of(signals: tuple[str, ...], record: Record) -> Iterator[Doubt]:
 
 
 def sensors(model: Model, records: Sequence[Record], read: set[str]) -> list[Doubt]:
-    """What may be amiss with the sensors of the signals that are read."""
+    """What may be amiss with the sensors of the signals that are read, inputs first."""
     step, found = float(records[0].time_step), []
     for signals in clocks_of(model, read):
         found.append(delay_of(signals, step))
         found += courses_of(signals, records[0]) if len(records) == 1 else []
-    for name in sorted(read):
+    known = {t.signal for e in model.equations for t in e.terms if not t.parameters}
+    for name in sorted(read, key=lambda name: (name not in known, name)):
         found += [
             Doubt(f"zero of {name}", "zero", (name,), lambda samples, time: np.ones_like(samples)),
             Doubt(f"gain of {name}", "gain", (name,), lambda samples, time: samples),
@@ -89,15 +89,6 @@ def sensors(model: Model, records: Sequence[Record], read: set[str]) -> list[Dou
                 )
             )
     return found
-
-
-def terms(model: Model, records: Sequence[Record]) -> list[Doubt]:
-    """Terms that a model may lack, of those that have no width and no memory."""
-    return [
-        Doubt(one.name, "term", candidate=one)
-        for one in default_candidates(model, records)
-        if isinstance(one, Candidate) and not one.memories
-    ]
 
 
 def plausible(doubts: Sequence[Doubt], records: Sequence[Record]) -> Mapping[str, float]:

@@ -1,20 +1,17 @@
 """Inputs that drift or say nothing."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 import scipy.signal
-from test_late_signals import AXIS
+from test_delays import AXIS
 
 import riecjax as rx
+from riecjax.assessment.assess import causes_found
 from riecjax.estimation.identify import identify
 from riecjax.records.derived import derived
 from riecjax.records.record import Record
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import Sandwich
-from riecjax.validation.equation_errors import errors_over_records
-from riecjax.validation.input_faults import drifting_inputs
 from riecjax.validation.residuals import ResidualTests
 from riecjax.validation.tests import residuals_tested
 
@@ -37,12 +34,8 @@ def recorded(seed: int, drift: float, noise: float) -> rx.Record:
 
 
 def found(record: rx.Record) -> list[rx.findings.Finding]:
-    def estimated(records: list[rx.Record]):
-        return rx.identify(LAW, records, intervals=rx.Naive())
-
-    estimate = estimated([record])
-    errors = errors_over_records(LAW, [record], estimate.values)
-    return list(drifting_inputs(rx.staged(LAW), [record], errors, estimate, estimated))
+    records = [one.record for one in ready(rx.staged(LAW), record)]
+    return causes_found(rx.staged(LAW), records, rx.identify(LAW, records))
 
 
 @pytest.mark.raises_finding("drifting_signal")
@@ -94,8 +87,8 @@ def driven(seed) -> dict[str, np.ndarray]:
 def codes(signals, *others) -> list[tuple[str, tuple[str, ...]]]:
     every = [Record.from_samples(one, time_step=STEP) for one in (signals, *others)]
     records = [one.record for one in ready(AXIS, every)]
-    fitted = partial(identify, AXIS, intervals=Sandwich())
-    residuals, *_ = residuals_tested(AXIS, records, fitted(records), fitted).tests
+    estimate = identify(AXIS, records, intervals=Sandwich())
+    residuals, *_ = residuals_tested(AXIS, records, estimate, causes_found).tests
     assert isinstance(residuals, ResidualTests)
     return [(f.code, f.signals) for f in residuals.faults]
 

@@ -1,11 +1,13 @@
 """Delays of a force whose motion is known in closed form: of sums of sines it follows exactly."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from nightly import nightly
+from riecjax.doubts.columns import Asked
+from riecjax.doubts.delays import Settled, settled
+from riecjax.doubts.equation_faults import demanded, finding_of
+from riecjax.doubts.offered import delay_of
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import as_model, staged
 from riecjax.equations.term import Term
@@ -13,7 +15,6 @@ from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import Sandwich
-from riecjax.validation.late_signals import course_of, late_signals, signal_delays
 
 STEP, SAMPLES = 0.005, 6000
 TRUTH = {"m": 2.0, "c": 9.0, "k": 400.0}
@@ -73,16 +74,27 @@ def fitted(record, model=AXIS):
     return records, identify(model, records, intervals=Sandwich())
 
 
-def delay_of(record, model=AXIS):
+def told(record, model=AXIS):
+    """What is demanded, and what is told of it."""
     records, estimate = fitted(record, model)
-    (one,) = signal_delays(model, records, estimate)
-    return one, list(late_signals(model, records, estimate))
+    causes = demanded(model, records, estimate)
+    return causes, [finding_of(one, model, records) for one in causes]
+
+
+def delay_in(record, model=AXIS, signals=("F",)) -> Settled:
+    """The delay of the force, whether it explains anything or not."""
+    records, estimate = fitted(record, model)
+    found = settled(Asked.of(model, estimate), records, delay_of(signals, STEP))
+    assert found is not None
+    return found
 
 
 @pytest.mark.raises_finding("late_signal")
 @pytest.mark.parametrize("delay", [0.5, *nightly([1.0, 3.3, 11.0]), -2.0])
 def test_a_delay_is_found_within_five_percent_of_a_sample(delay):
-    one, (finding,) = delay_of(recorded(0, delay=delay))
+    (cause,), (finding,) = told(recorded(0, delay=delay))
+    one = cause.delay
+    assert one is not None
     assert one.samples == pytest.approx(delay, abs=0.05)
     assert abs(one.samples - delay) < 4 * one.error / STEP
     assert finding.code == "late_signal"
@@ -96,13 +108,13 @@ def test_a_delay_is_found_within_five_percent_of_a_sample(delay):
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
 def test_a_force_in_time_is_not_called_late(noise):
     for seed in range(3):
-        one, found = delay_of(recorded(seed, noise=noise))
+        record = recorded(seed, noise=noise)
+        one, (_, found) = delay_in(record), told(record)
         assert not found
         assert abs(one.samples) < max(4 * one.error / STEP, 0.01)
     for friction, cubic in ((0.3, 0.0), (0.0, 0.05)):
         # What a model leaves out is no delay.
-        one, found = delay_of(recorded(3, friction=friction, cubic=cubic, noise=noise))
-        assert not one.explains
+        _, found = told(recorded(3, friction=friction, cubic=cubic, noise=noise))
         assert not found
 
 
@@ -110,7 +122,9 @@ def test_a_force_in_time_is_not_called_late(noise):
 @pytest.mark.no_finding("late_signal")
 @pytest.mark.parametrize("samples", [1.5, 4.0])
 def test_a_force_behind_a_low_pass_is_named_as_that(samples):
-    one, (finding,) = delay_of(recorded(0, lag=samples * STEP))
+    (cause,), (finding,) = told(recorded(0, lag=samples * STEP))
+    one = cause.delay
+    assert one is not None
     assert one.low_passed
     assert one.certain
     assert one.seconds == pytest.approx(samples * STEP, rel=0.02)
@@ -120,7 +134,7 @@ def test_a_force_behind_a_low_pass_is_named_as_that(samples):
 @pytest.mark.raises_finding("two_clocks")
 @pytest.mark.no_finding("late_signal", "lost_rows")
 def test_a_clock_that_runs_slow_is_told_by_its_rate():
-    one, (finding,) = delay_of(recorded(0, delay=200e-6 * np.arange(SAMPLES)))
+    (one,), (finding,) = told(recorded(0, delay=200e-6 * np.arange(SAMPLES)))
     assert one.course.kind == "clocks"
     assert one.course.change / SAMPLES == pytest.approx(200e-6, rel=0.05)
     assert finding.signals == ("F",)
@@ -134,9 +148,8 @@ def test_a_clock_that_runs_slow_is_told_by_its_rate():
 @pytest.mark.no_finding("late_signal", "two_clocks")
 @pytest.mark.parametrize(("lost", "at"), [(1, 2500), (5, 5000), *nightly([(20, 2500)])])
 def test_rows_that_a_force_lost_are_found_where_they_were(lost, at):
-    one, (finding,) = delay_of(
-        recorded(0, delay=-lost * np.heaviside(np.arange(SAMPLES) - at, 0.0))
-    )
+    record = recorded(0, delay=-lost * np.heaviside(np.arange(SAMPLES) - at, 0.0))
+    (one,), (finding,) = told(record)
     assert one.course.change == pytest.approx(-lost, abs=0.05)
     option, seconds = finding.remedy
     # Before the loss all were in time, however short that part is.
@@ -158,16 +171,11 @@ def test_the_late_one_is_that_which_explains_what_all_equations_leave(late):
     noisy = {n: np.asarray(s) for n, s in signals.items()}
     noisy = {n: s + 0.01 * np.std(s) * rng.normal(size=s.size) for n, s in noisy.items()}
     records, estimate = fitted(Record.from_samples(noisy, time_step=STEP), model)
-    (finding,) = late_signals(model, records, estimate)
+    (cause,) = demanded(model, records, estimate)
+    finding = finding_of(cause, model, records)
     assert finding.signals == (late,)
 
 
 def test_a_record_too_short_is_passed_over():
-    records, estimate = fitted(recorded(0, samples=400))
-    assert signal_delays(AXIS, records, estimate) == []
-
-
-@pytest.mark.parametrize("blocks", [0, 1, 15])
-def test_too_few_whole_blocks_for_parts_tell_no_course(blocks):
-    search = SimpleNamespace(blocks=np.arange(blocks))
-    assert course_of(search, 0, 250.0) is None  # pyright: ignore[reportArgumentType]
+    records, estimate = fitted(recorded(0, delay=3.0, samples=400))
+    assert demanded(AXIS, records, estimate) == []
