@@ -163,7 +163,7 @@ CODES: dict[str, FindingClass] = {
     "drifting_signal": _sensors("one of {signals} drifts", undo="zero"),
     "velocity_offset": _sensors("one of {signals} has an offset", undo="zero"),
     "repeated_rows": _sensors("rows stand in the recording twice"),
-    "wrong_zero": _sensors("some sensor's zero is off"),
+    "wrong_zero": _sensors("a sensor's zero is off, or a constant force is missing"),
     "constant_signal": _sensors("{signals} never varies"),
     "stuck_sensor": _sensors("{signals} is stuck for a while", undo="itself"),
     "clipped": _sensors("{signals} is clipped", undo="itself"),

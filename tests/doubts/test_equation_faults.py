@@ -6,12 +6,13 @@ import scipy.signal
 from test_delays import AXIS
 
 import riecjax as rx
-from riecjax.assessment.assess import causes_found
+from riecjax.assessment.causes import causes_found
 from riecjax.estimation.identify import identify
 from riecjax.records.derived import derived
 from riecjax.records.record import Record
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import Sandwich
+from riecjax.validation.equation_errors import errors_over_records
 from riecjax.validation.residuals import ResidualTests
 from riecjax.validation.tests import residuals_tested
 
@@ -35,7 +36,9 @@ def recorded(seed: int, drift: float, noise: float) -> rx.Record:
 
 def found(record: rx.Record) -> list[rx.findings.Finding]:
     records = [one.record for one in ready(rx.staged(LAW), record)]
-    return causes_found(rx.staged(LAW), records, rx.identify(LAW, records))
+    estimate = rx.identify(LAW, records)
+    errors = errors_over_records(LAW, records, estimate.values)
+    return causes_found(rx.staged(LAW), records, errors, estimate)
 
 
 @pytest.mark.raises_finding("drifting_signal")

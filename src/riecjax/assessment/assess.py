@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from jaxtyping import Array, Key
 
-from riecjax.assessment.doubt import Evidence, with_doubts
+from riecjax.assessment.causes import causes_found, with_doubts
+from riecjax.assessment.doubt import Evidence
 from riecjax.assessment.refining import (
     Problem,
     Refinement,
@@ -27,8 +28,6 @@ from riecjax.assessment.refining import (
 from riecjax.assessment.verdict import Verdict, verdict
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.suited import criterion_for
-from riecjax.discovery.candidate import lacked
-from riecjax.doubts.equation_faults import demanded, finding_of
 from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.errors import DataError, IdentifiabilityError, require
 from riecjax.estimation.check import (
@@ -223,12 +222,6 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
         failures=[*failures, *own.findings],
         key=settings.key,
     )
-
-
-def causes_found(model: Model, records: "list[Record]", estimate: Estimate) -> list[Finding]:
-    """What explains most of what a model leaves: faults of sensors, and terms that it lacks."""
-    causes = demanded(model, records, estimate, lacked)
-    return [finding_of(cause, model, records) for cause in causes]
 
 
 def answered(

@@ -25,25 +25,18 @@ estimated once more.
 **Resolution.** No criterion integrates samples, and no sensor is calibrated, better than `FINEST`.
 """
 
-import contextlib
-import dataclasses
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from riecjax.equations.model import Model
-from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.check import Check, parameters_reading
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, class_of
 from riecjax.leaves import size_of
-from riecjax.records import shift
-from riecjax.records.faults.derivative_pairs import compare, relations
-from riecjax.records.preparation.steps import undone
-from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.validation.tests import BUILT_IN, Test
 
@@ -279,61 +272,3 @@ def left_out(evidence: Evidence) -> Mapping[str, float]:
             if reach > 0:
                 moved[name] = along / reach
     return moved
-
-
-def with_doubts(
-    checked: Check,
-    estimate: Estimate,
-    model: Model,
-    records: Sequence[Record],
-    again: Callable[[list[Record]], Estimate],
-) -> Check:
-    """What was checked, with how far each fault moves each parameter as its `doubts`.
-
-    **Arguments:** `again` estimates in the same way from other records.
-    """
-    # Share by which each parameter moves once all records have no such fault.
-    doubts: dict[str, dict[str, float]] = {}
-    undoable = [
-        f for f in checked.findings if f.about.undo and (f.remedy or f.about.undo != "itself")
-    ]
-    for code in {finding.code for finding in undoable}:
-        faults = [finding for finding in undoable if finding.code == code]
-        with contextlib.suppress(DataError, IdentifiabilityError):
-            other = again([_undone(record, model, faults) for record in records])
-            doubts[code] = {
-                name: abs(float(other[name]) / float(estimate[name]) - 1)
-                for name in estimate.parameters
-                if name in other.parameters and float(estimate[name])
-            }
-    findings = []
-    for finding in checked.findings:
-        if moved := doubts.get(finding.code):
-            name, share = max(moved.items(), key=lambda entry: entry[1])
-            effect = f" Without it {name} changes by {100 * share:.2g} %."
-            finding = finding._replace(message=finding.message + effect, doubts=moved)
-        findings.append(finding)
-    return dataclasses.replace(checked, findings=findings)
-
-
-def _undone(record: Record, model: Model, faults: Sequence[Finding]) -> Record:
-    """The record without faults of one code, as pairs of a signal and its derivative show them."""
-    undo = faults[0].about.undo
-    if undo == "itself":
-        return undone(record, [fault.remedy for fault in faults])
-    for relation in relations(model.derivatives):
-        if not {*relation.names} <= {*record.arrays} or (pair := compare(record, relation)) is None:
-            continue
-        if undo == "delay":
-            late = pair.fit.delay * pair.step
-            which = pair.sides[0 if late > 0 else 1]
-            record = shift(record, dict.fromkeys(which, abs(late))) if pair.is_late else record
-        elif undo == "gain":
-            factor = pair.scaling if pair.gain_is_off else 1.0
-            record = record.with_signals({pair.suspect: factor * record.signal(pair.suspect)})
-        else:
-            name, size = pair.zeroed
-            course = np.arange(record.sample_count) / record.sample_count - 0.5
-            zero = size * (pair.offset + pair.drift * course)
-            record = record.with_signals({name: record.signal(name) - zero})
-    return record

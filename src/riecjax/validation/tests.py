@@ -58,23 +58,22 @@ def residuals_tested(
     model: Model,
     records: list[Record],
     estimate: Estimate,
-    faults_of: Callable[[Model, list[Record], Estimate], list[Finding]],
+    faults_of: Callable[..., list[Finding]],
 ) -> Tested:
     """Tests of what equations leave, and the windows that it suggests.
 
-    **Arguments:** `faults_of`, which finds what explains most of what is left.
+    **Arguments:** `faults_of` a model, records, errors of each equation on each, and an estimate,
+    which finds what explains most of what is left.
     """
     # Not earlier: who only checks recordings waits for none of these.
     from riecjax.validation.choice import window_choice
     from riecjax.validation.equation_errors import errors_over_records
     from riecjax.validation.residuals import residual_tests
-    from riecjax.validation.silent_inputs import silent_inputs
 
     # A fit is not lost because what it leaves cannot be tested.
     try:
         errors = errors_over_records(model, records, estimate.values)
-        silent = silent_inputs(model.equations, records, errors, estimate.criterion.windows)
-        faults = tuple(silent) or tuple(faults_of(model, records, estimate))
+        faults = faults_of(model, records, errors, estimate)
         tests: list[Test] = [residual_tests(model, records, estimate, errors=errors, faults=faults)]
         if estimate.criterion.windows is not None:
             tests.append(window_choice(model, records, estimate, errors=errors))
