@@ -84,7 +84,7 @@ def told(record, model=AXIS):
 def delay_in(record, model=AXIS, signals=("F",)) -> Settled:
     """The delay of the force, whether it explains anything or not."""
     records, estimate = fitted(record, model)
-    found = settled(Asked.of(model, estimate), records, delay_of(signals, STEP))
+    found = settled(Asked.of(model, estimate), records, delay_of(signals, STEP), 1.0)
     assert found is not None
     return found
 
@@ -93,7 +93,7 @@ def delay_in(record, model=AXIS, signals=("F",)) -> Settled:
 @pytest.mark.parametrize("delay", [0.5, *nightly([1.0, 3.3, 11.0]), -2.0])
 def test_a_delay_is_found_within_five_percent_of_a_sample(delay):
     (cause,), (finding,) = told(recorded(0, delay=delay))
-    one = cause.delay
+    one = cause.undone
     assert one is not None
     assert one.samples == pytest.approx(delay, abs=0.05)
     assert abs(one.samples - delay) < 4 * one.error / STEP
@@ -123,11 +123,11 @@ def test_a_force_in_time_is_not_called_late(noise):
 @pytest.mark.parametrize("samples", [1.5, 4.0])
 def test_a_force_behind_a_low_pass_is_named_as_that(samples):
     (cause,), (finding,) = told(recorded(0, lag=samples * STEP))
-    one = cause.delay
+    one = cause.undone
     assert one is not None
     assert one.low_passed
     assert one.certain
-    assert one.seconds == pytest.approx(samples * STEP, rel=0.02)
+    assert one.size == pytest.approx(samples * STEP, rel=0.02)
     assert finding.code == "low_passed"
 
 

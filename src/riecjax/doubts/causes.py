@@ -167,11 +167,23 @@ class Causes:
             best = min(others, key=lambda doubt: self.left([*chosen, doubt]), default=None)
             if best is None or not self.left([*chosen, best]) < self.left(chosen):
                 break
-            same = [doubt for doubt in among if doubt is best or doubt in self.same_as(best, among)]
-            chosen.append(min(same, key=_simplicity))
+            chosen.append(min(self._alike(best, chosen, among), key=_simplicity))
             if self.is_little(self.left(chosen)):
                 return self._pruned(chosen)
         return []
+
+    def _alike(self, best: Doubt, beside: Sequence[Doubt], among: Sequence[Doubt]) -> list[Doubt]:
+        """The best doubt and those that say the same; of drifts, whichever signal's, those too
+        that leave hardly more: they are taken off an input as well as off any other."""
+        most = max(CLEARER * self.left([*beside, best]), OF_NOISE * self.noise)
+        same = self.same_as(best, among)
+        return [
+            doubt
+            for doubt in among
+            if doubt is best
+            or doubt in same
+            or (doubt.kind == best.kind == "drift" and self.left([*beside, doubt]) <= most)
+        ]
 
     def same_as(self, doubt: Doubt, among: Sequence[Doubt]) -> list[Doubt]:
         """The other doubts whose columns are the same, whatever the recording: the zero of a force
@@ -204,9 +216,14 @@ class Causes:
         return any(one is doubt or one in self.same_as(doubt, [one]) for one in zeros)
 
     def is_certain(self, chosen: Sequence[Doubt], cause: Doubt, others: Sequence[Doubt]) -> bool:
-        """Whether all others in the place of a cause are the same or leave clearly more."""
+        """Whether all others in the place of a cause are the same, drift as well, or leave clearly
+        more."""
         same = self.same_as(cause, others)
-        return all(other in same or self.is_clear(chosen, cause, other) for other in others)
+        different = (one for one in others if one not in same)
+        return all(
+            one.kind == cause.kind == "drift" or self.is_clear(chosen, cause, one)
+            for one in different
+        )
 
     def _pruned(self, chosen: list[Doubt]) -> list[Doubt]:
         """Without those without which the rest explains as much."""

@@ -231,12 +231,23 @@ class _Columns:
 
 class Asked(NamedTuple):
     """What is doubted: a `model` with `values` of all parameters, some of them `known`, by all
-    windows of a `criterion`."""
+    windows of a `criterion`; the columns of parameters, where it is known which are free, `base`.
+    """
 
     model: Model
     criterion: AbstractCriterion
     values: Mapping[str, float]
     known: Mapping[str, float]
+    base: Collection[str] = ()
+
+    def with_values(self, found: Mapping[str, float]) -> "Asked":
+        """The same with the values of columns, each parameter's in the first stage that has it."""
+        values = dict(self.values)
+        for column, value in reversed(found.items()):
+            _, stage, name = column.rpartition(".")
+            if stage and name in values:
+                values[name] = float(value)
+        return self._replace(values=values)
 
     @classmethod
     def of(cls, model: Model, estimate: Estimate) -> "Asked":
@@ -285,7 +296,7 @@ def folds_of(
             each = [columns.rows(*one) for one in zip(records, (w.drawn for w in windows))]
             parts.append(_joined(each))
         stages.append(
-            _of_stage(parts, f"{number}.", asked.known, earlier, {doubt.name for doubt in doubts})
+            _of_stage(parts, f"{number}.", asked, earlier, {doubt.name for doubt in doubts})
         )
         earlier |= {n: values[n] for e in equations for n in e.parameters if n in values}
     return _products(stages, fold)
@@ -313,7 +324,7 @@ def _among(part: _Rows, names: Sequence[str], known: Mapping[str, float]) -> _Ro
 def _of_stage(
     parts: Sequence[_Rows],
     prefix: str,
-    known: Mapping[str, float],
+    asked: Asked,
     earlier: Mapping[str, float],
     doubts: Collection[str],
 ) -> _Rows:
@@ -327,15 +338,19 @@ def _of_stage(
         free = [name for name in every if name not in known]
         return _joined([_among(part, free, known) for part in parts])
 
-    found = with_known(known)
-    if again := {name: earlier[name] for name in found.names if name in earlier}:
+    found = with_known(asked.known)
+    again = {name: earlier[name] for name in found.names if name in earlier}
+    if again and asked.base:
+        again = {name: value for name, value in again.items() if prefix + name not in asked.base}
+        found = with_known({**asked.known, **again})
+    elif again:
         at = [i for i, name in enumerate(found.names, 1) if name not in doubts]
         gram = found.rows[at] @ found.rows[at].T
         for noise in found.noises:
             gram -= noise[at] @ noise[at].T / len(found.noises)
         apart = np.all(np.diagonal(gram) > 0)
         if not apart or np.linalg.eigvalsh(unit_diagonal(gram)[0])[0] < APART:
-            found = with_known({**known, **again})
+            found = with_known({**asked.known, **again})
     size = float(np.sqrt(np.mean(found.rows[0] ** 2))) or 1.0
     names = tuple(name if name in doubts else f"{prefix}{name}" for name in found.names)
     return found.of(np.eye(1 + len(names)) / size, names)

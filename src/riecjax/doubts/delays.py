@@ -26,7 +26,7 @@ from riecjax.doubts.causes import CLEARER, LEVEL, OF_NOISE
 from riecjax.doubts.columns import Asked, Doubt, folds_of
 from riecjax.doubts.offered import longest_delay
 from riecjax.errors import DataError
-from riecjax.folds import Folds, Told, solved
+from riecjax.folds import Folds, solved
 from riecjax.records.faults.derivative_pairs import Course, changing
 from riecjax.records.preparation.filtering import unfilter
 from riecjax.records.preparation.resampling import shift
@@ -43,16 +43,17 @@ TURN = 1.0
 
 
 class Settled(NamedTuple):
-    """How late `signals` are, once that is undone.
+    """How much of a doubt there is, once that is undone.
 
-    **Fields:** `seconds`, of a first-order low-pass where it is `low_passed`; their standard
-    `error` and `reach`, half an interval at the level of an answer; `left` beyond noise and
-    `noise`, as shares of the target's energy, and `otherwise`, what the other of delay and low-pass
-    leaves; `values` of parameters by stage and name; `step` between samples.
+    **Fields:** `signals`; `size` in the unit of its column, seconds of a delay, or of the time
+    constant of a first-order low-pass where it is `low_passed`; standard `error` and `reach`, half
+    an interval at the level of an answer; `left` beyond noise and `noise`, as shares of the
+    target's energy, and `otherwise`, what the other of delay and low-pass leaves; `values` of
+    parameters by stage and name; seconds between samples, `step`.
     """
 
     signals: tuple[str, ...]
-    seconds: float
+    size: float
     error: float
     reach: float
     left: float
@@ -64,13 +65,8 @@ class Settled(NamedTuple):
 
     @property
     def samples(self) -> float:
-        """The delay in samples."""
-        return self.seconds / self.step
-
-    @property
-    def is_told(self) -> bool:
-        """Whether it is more than chance and quadrature make."""
-        return abs(self.seconds) > self.reach and abs(self.samples) > SMALLEST
+        """A delay in samples."""
+        return self.size / self.step
 
     @property
     def certain(self) -> bool:
@@ -79,14 +75,19 @@ class Settled(NamedTuple):
 
 
 def settled(
-    asked: Asked, records: Sequence[Record], doubt: Doubt, start: float = 0.0, lagged: bool = False
+    asked: Asked,
+    records: Sequence[Record],
+    doubt: Doubt,
+    most: float,
+    start: float = 0.0,
+    lagged: bool = False,
 ) -> Settled | None:
-    """The delay of some signals near a start, or the time constant of their low-pass; `None` where
-    no step settles it."""
-    seconds, most = start, longest_delay(records) * float(records[0].time_step)
-    step = TURN / _rate(records, doubt.signals)
+    """A doubt of a sensor near a start, or the time constant of a low-pass in place of a delay;
+    `None` where no step settles it, or it is larger than `most`."""
+    size, step = start, float(records[0].time_step)
+    farthest = TURN / _rate(records, doubt.signals) if doubt.kind == "delay" else np.inf
     for turn in range(TURNS):
-        undone = _undone(records, doubt.signals, seconds, lagged)
+        undone = _undone(records, doubt, size, lagged)
         if undone is None:
             return None
         folds = folds_of(asked, undone, [doubt])
@@ -95,36 +96,42 @@ def settled(
         if not (np.isfinite(told.value) and np.isfinite(told.error)):
             return None
         if abs(told.value) <= max(SETTLED * told.error, 1e-9 * most) or turn == TURNS - 1:
-            return _settled(doubt, seconds, told, folds, float(records[0].time_step), lagged)
-        seconds += float(np.clip(told.value, -step, step))
-        if abs(seconds) > most or (lagged and seconds <= 0):
+            motion, samples = (float(part.sum()) / folds.energy for part in folds.left(names))
+            reach = float(tails.student(LEVEL / 2, told.freedom)) * told.error
+            values = dict(zip(names, folds.fitted(names).tolist()))
+            noise = max(samples - motion, 0.0)
+            return Settled(
+                doubt.signals, size, told.error, reach, motion, noise, values, step, lagged
+            )
+        asked = asked.with_values(
+            dict(zip((*names, doubt.name), folds.fitted((*names, doubt.name))))
+        )
+        size += float(np.clip(told.value, -farthest, farthest))
+        if abs(size) > most or (lagged and size <= 0):
             return None
     return None
 
 
-def _settled(
-    doubt: Doubt, seconds: float, told: Told, folds: Folds, step: float, lagged: bool
-) -> Settled:
-    names = tuple(name for name in folds.parameters if name != doubt.name)
-    motion, samples = (float(part.sum()) / folds.energy for part in folds.left(names))
-    reach = float(tails.student(LEVEL / 2, told.freedom)) * told.error
-    values = dict(zip(names, folds.fitted(names).tolist()))
-    noise = max(samples - motion, 0.0)
-    return Settled(doubt.signals, seconds, told.error, reach, motion, noise, values, step, lagged)
-
-
 def _undone(
-    records: Sequence[Record], signals: Sequence[str], seconds: float, lagged: bool
+    records: Sequence[Record], doubt: Doubt, size: float, lagged: bool
 ) -> list[Record] | None:
-    """The records without a delay or low-pass; `None` where nothing is left of them."""
-    if not seconds:
+    """The records without so much of a doubt; `None` where nothing is left of them."""
+    if not size:
         return [*records]
-    try:
-        return [
-            (unfilter if lagged else shift)(one, dict.fromkeys(signals, seconds)) for one in records
-        ]
-    except DataError:
-        return None
+    if doubt.kind == "delay":
+        by = dict.fromkeys(doubt.signals, size)
+        try:
+            return [(unfilter if lagged else shift)(one, by) for one in records]
+        except DataError:
+            return None
+    found = []
+    for record in records:
+        signals = {name: record.signal(name) for name in doubt.signals}
+        if doubt.kind == "gain":
+            found.append(record.with_signals({n: s * (1 / (1 + size)) for n, s in signals.items()}))
+        else:
+            found.append(record.with_signals({n: s - size for n, s in signals.items()}))
+    return found
 
 
 def _rate(records: Sequence[Record], signals: Sequence[str]) -> float:

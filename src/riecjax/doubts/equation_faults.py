@@ -16,7 +16,7 @@ import numpy as np
 
 from riecjax.doubts.causes import FEWEST, LOST, Causes
 from riecjax.doubts.columns import Asked, Doubt, folds_of
-from riecjax.doubts.delays import Settled, Shifts, settled
+from riecjax.doubts.delays import SMALLEST, Settled, Shifts, settled
 from riecjax.doubts.offered import longest_delay, plausible, sensors
 from riecjax.equations import expressions
 from riecjax.equations.model import Model
@@ -33,6 +33,8 @@ VISIBLE = 0.003
 """Rms left beyond noise, over the target, from which a delay that changes is looked for."""
 MOVES = 1.0
 """Standard errors by which a cause moves some parameter at the least."""
+NOTABLE = 0.02
+"""Rms that a drift leaves, over the target's, from which it matters whatever it moves."""
 SLIGHT = 1e-3
 """Share of a drift that an offset beside it is at the least."""
 NEAR = 8
@@ -44,7 +46,7 @@ class Cause(NamedTuple):
 
     **Fields:** `doubt`; its `size` in the unit of its column; rms that is left beyond noise with
     it, `left`, and without, `before`, as shares of the target's; `moved`, shares by which
-    parameters change with it; `delay` once it is undone, and `course` of one that changes;
+    parameters change with it; what is found once it is `undone`; `course` of a delay that changes;
     `offset` of what drifts at the record's middle; `instead`, other doubts that explain nearly as
     much, of which some are the `same` column, and `certain`, whether all others leave clearly more.
     """
@@ -54,7 +56,7 @@ class Cause(NamedTuple):
     before: float
     left: float
     moved: Mapping[str, float]
-    delay: Settled | None = None
+    undone: Settled | None = None
     course: Course = Course()
     offset: float = 0.0
     certain: bool = True
@@ -97,7 +99,7 @@ class Weighing:
         rough = Causes(folds_of(asked, records, doubts, "plain"), doubts, sizes)
         if not rough.is_promising:
             return None
-        near = rough.nearest(NEAR)
+        asked, near = asked._replace(base=rough.base), rough.nearest(NEAR)
         folds = folds_of(asked, records, near)
         delays = {doubt.signals: [doubt] for doubt in rough.of("delay")}
         changing = {
@@ -111,41 +113,59 @@ class Weighing:
     def found(self) -> list[Cause]:
         """What the data demand; nothing where nothing explains what is left."""
         causes = self.causes
-        delays = {doubt: found for doubt in causes.of("delay") if (found := self._delay(doubt))}
-        for doubt, one in delays.items():
+        known = {doubt: found for doubt in causes.of("delay") if (found := self._delay(doubt))}
+        known |= {one: found for one in causes.of("zero", "gain") if (found := self._curved(one))}
+        for doubt, one in known.items():
             causes.settle(doubt, one.left * causes.folds.energy)
         others = [doubt for doubt in causes.of("zero", "gain", "drift", "term")]
-        chosen = causes.demanded([*delays, *others], sure=delays)
+        delays = [doubt for doubt in known if doubt.kind == "delay"]
+        chosen = causes.demanded([*delays, *others], sure=known)
         drifting = [doubt for doubt in chosen if doubt.kind == "drift"]
         chosen = [doubt for doubt in chosen if not causes.is_zero_of(doubt, drifting)]
         if not chosen:
-            followed = self._followed(delays)
+            followed = self._followed(known)
             return [followed] if followed is not None and self._matters(followed) else []
-        made = (self._cause(doubt, chosen, delays.get(doubt)) for doubt in chosen)
+        made = (self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen)
         return [cause for cause in made if self._matters(cause)]
+
+    def _near(self, doubt: Doubt) -> bool:
+        """Whether a doubt may be a cause, as far as its column tells."""
+        causes = self.causes
+        return causes.is_sure(doubt) and causes.left([doubt]) < HALF * causes.before
+
+    def _settled(self, doubt: Doubt, start: float = 0.0, lagged: bool = False) -> Settled | None:
+        most = self.causes.plausible[doubt.name]
+        return settled(self.asked, self.records, doubt, most, start, lagged)
 
     def _delay(self, doubt: Doubt) -> Settled | None:
         """A delay once it is undone, or the low-pass that leaves less, if it is no chance."""
         causes, energy = self.causes, self.causes.folds.energy
         large = causes.before > LOST * energy
-        near = causes.is_sure(doubt) and causes.left([doubt]) < HALF * causes.before
-        if not (near or large):
+        if not (large or self._near(doubt)):
             return None
-        found = settled(self.asked, self.records, doubt)
+        found = self._settled(doubt)
         if large and (found is None or not causes.is_little(found.left * energy)):
-            shifts = Shifts(self.asked, self.records, doubt.signals)
-            start = shifts.start() * float(self.records[0].time_step)
-            found = settled(self.asked, self.records, doubt, start)
-        if found is None or not found.is_told:
+            start = Shifts(self.asked, self.records, doubt.signals).start()
+            found = self._settled(doubt, start * float(self.records[0].time_step))
+        if found is None or not (abs(found.size) > found.reach and abs(found.samples) > SMALLEST):
             return None
-        if found.seconds > 0:
-            lagged = settled(self.asked, self.records, doubt, found.seconds, lagged=True)
+        if found.size > 0:
+            lagged = self._settled(doubt, found.size, lagged=True)
             if lagged is not None:
                 found, other = sorted((found, lagged), key=lambda each: each.left)
                 found = found._replace(otherwise=other.left)
         return found
 
-    def _cause(self, doubt: Doubt, chosen: Sequence[Doubt], delay: Settled | None) -> Cause:
+    def _curved(self, doubt: Doubt) -> Settled | None:
+        """A zero or gain once it is undone, where its column is right to first order alone; what is
+        the same as a constant is right as it is."""
+        causes = self.causes
+        if not self._near(doubt) or causes.same_as(doubt, causes.of("zero", "term")):
+            return None
+        found = self._settled(doubt)
+        return found if found is not None and abs(found.size) > found.reach else None
+
+    def _cause(self, doubt: Doubt, chosen: Sequence[Doubt], undone: Settled | None) -> Cause:
         """One of the doubts that are chosen, with what it does."""
         causes, folds = self.causes, self.causes.folds
         beside = [other for other in chosen if other is not doubt]
@@ -157,14 +177,14 @@ class Weighing:
         instead = causes.instead(chosen, doubt)
         return Cause(
             doubt,
-            after[doubt.name] if delay is None else delay.seconds,
+            after[doubt.name] if undone is None else undone.size,
             self._rms(causes.left(beside)),
             self._rms(causes.left(chosen)),
             self._moved(
-                after if delay is None else delay.values,
+                after if undone is None else undone.values,
                 dict(zip(without, folds.fitted(without).tolist())),
             ),
-            delay,
+            undone,
             offset=after[zeros[0].name] if zeros else 0.0,
             certain=causes.is_certain(chosen, doubt, instead),
             same=tuple(causes.same_as(doubt, instead)),
@@ -181,7 +201,7 @@ class Weighing:
             if not (large or doubt.signals in self.changing):
                 continue
             shifts = Shifts(self.asked, self.records, doubt.signals)
-            middle = delays[doubt].seconds if doubt in delays else 0.0
+            middle = delays[doubt].size if doubt in delays else 0.0
             followed = shifts.course(round(middle / float(self.records[0].time_step)), large)
             if followed is None or not causes.is_little(followed.left * energy):
                 continue
@@ -206,7 +226,9 @@ class Weighing:
         return found
 
     def _matters(self, cause: Cause) -> bool:
-        """Whether it moves some parameter by more than chance does."""
+        """Whether it moves some parameter by more than chance does, or most of a drift stays."""
+        if cause.doubt.kind == "drift" and cause.before > NOTABLE:
+            return True
         estimate = self.estimate
         errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors, float)))
         changes = {name: share * float(estimate[name]) for name, share in cause.moved.items()}
@@ -253,8 +275,8 @@ def finding_of(cause: Cause, model: Model, records: Sequence[Record]) -> Finding
         names = expressions.signals_read(cause.doubt.term.of)
     if cause.course.kind != "steady":
         said = _of_course(cause, record)
-    elif cause.delay is not None:
-        said = _of_delay(cause.delay)
+    elif cause.doubt.kind == "delay" and cause.undone is not None:
+        said = _of_delay(cause.undone)
     else:
         said = _of_size(cause, model, record)
     most = max(cause.moved, key=lambda name: abs(cause.moved[name]), default="")
@@ -294,28 +316,28 @@ def described(doubt: Doubt) -> str:
 
 def _of_delay(delay: Settled) -> _Said:
     names = " and ".join(delay.signals)
-    milliseconds = f"{1e3 * abs(delay.seconds):.3g} ms"
+    milliseconds = f"{1e3 * abs(delay.size):.3g} ms"
     size = f"{milliseconds} ({abs(delay.samples):.3g} samples, +-{1e3 * delay.reach:.2g} ms)"
     if delay.low_passed and delay.certain:
-        remedy = option_for("--unfilter", delay.signals, f"{delay.seconds:.4g}")
+        remedy = option_for("--unfilter", delay.signals, f"{delay.size:.4g}")
         return _Said(
             "low_passed",
             f"{names}: behind a first-order low-pass with a time constant of {size}, a cut-off at "
-            f"{1 / (2 * np.pi * delay.seconds):.3g} Hz",
+            f"{1 / (2 * np.pi * delay.size):.3g} Hz",
             f"Record it without that filter, or undo it ({shlex.join(remedy)}).",
             remedy,
             f"Undo the low-pass of {names}",
         )
-    remedy = option_for("--shift", delay.signals, f"{delay.seconds:.4g}")
+    remedy = option_for("--shift", delay.signals, f"{delay.size:.4g}")
     way = "earlier than the equation says: all others are late, or low-passed"
-    if delay.seconds > 0:
+    if delay.size > 0:
         way = f"later than the equation says{'' if delay.certain else ', or low-passed'}"
     return _Said(
         "late_signal",
         f"{names} come{'s' * (len(delay.signals) == 1)} {size} {way}",
         f"Shift it (on the command line: {shlex.join(remedy)}), or record all by one clock.",
         remedy,
-        f"{'Advance' if delay.seconds > 0 else 'Delay'} {names} by {milliseconds}",
+        f"{'Advance' if delay.size > 0 else 'Delay'} {names} by {milliseconds}",
     )
 
 
