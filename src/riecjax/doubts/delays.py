@@ -85,7 +85,7 @@ def settled(
     """A doubt of a sensor near a start, or the time constant of a low-pass in place of a delay;
     `None` where no step settles it, or it is larger than `most`."""
     size, step = start, float(records[0].time_step)
-    farthest = TURN / _rate(records, doubt.signals) if doubt.kind == "delay" else np.inf
+    farthest = _reach(records, doubt)
     for turn in range(TURNS):
         undone = _undone(records, doubt, size, lagged)
         if undone is None:
@@ -118,6 +118,8 @@ def _undone(
     """The records without so much of a doubt; `None` where nothing is left of them."""
     if not size:
         return [*records]
+    if doubt.kind == "gain" and not size > -1:
+        return None
     if doubt.kind == "delay":
         by = dict.fromkeys(doubt.signals, size)
         try:
@@ -132,6 +134,15 @@ def _undone(
         else:
             found.append(record.with_signals({n: s - size for n, s in signals.items()}))
     return found
+
+
+def _reach(records: Sequence[Record], doubt: Doubt) -> float:
+    """How large a step of a doubt's size its column tells: a part of a turn of the usual motion,
+    the usual deviation from the mean of a zero, and half of a gain."""
+    if doubt.kind == "delay":
+        return TURN / _rate(records, doubt.signals)
+    deviations = [float(np.std(one.arrays[name])) for one in records for name in doubt.signals]
+    return max(deviations) if doubt.kind == "zero" else 0.5
 
 
 def _rate(records: Sequence[Record], signals: Sequence[str]) -> float:

@@ -78,10 +78,12 @@ def sensors(model: Model, records: Sequence[Record], read: set[str]) -> list[Dou
         found += courses_of(signals, records[0]) if len(records) == 1 else []
     known = {t.signal for e in model.equations for t in e.terms if not t.parameters}
     for name in sorted(read, key=lambda name: (name not in known, name)):
-        found += [
-            Doubt(f"zero of {name}", "zero", (name,), lambda samples, time: np.ones_like(samples)),
-            Doubt(f"gain of {name}", "gain", (name,), lambda samples, time: samples),
-        ]
+        found.append(
+            Doubt(f"zero of {name}", "zero", (name,), lambda samples, time: np.ones_like(samples))
+        )
+        # That of a whole target scales the parameters.
+        if not _is_target(model, name):
+            found.append(Doubt(f"gain of {name}", "gain", (name,), lambda samples, time: samples))
         if len(records) == 1:
             found.append(
                 Doubt(
@@ -89,6 +91,12 @@ def sensors(model: Model, records: Sequence[Record], read: set[str]) -> list[Dou
                 )
             )
     return found
+
+
+def _is_target(model: Model, name: str) -> bool:
+    """Whether a signal alone is what the equations that know terms of it have to explain."""
+    known = [[t.signal for t in e.terms if not t.parameters] for e in model.equations]
+    return any({*signals} == {name} for signals in known)
 
 
 def plausible(doubts: Sequence[Doubt], records: Sequence[Record]) -> Mapping[str, float]:
