@@ -113,8 +113,14 @@ class Weighing:
     def found(self) -> list[Cause]:
         """What the data demand; nothing where nothing explains what is left."""
         causes = self.causes
-        known = {doubt: found for doubt in causes.of("delay") if (found := self._delay(doubt))}
-        known |= {one: found for one in causes.of("zero", "gain") if (found := self._curved(one))}
+        known = {one: found for one in causes.of("zero", "gain") if (found := self._curved(one))}
+        # Where something else explains what is left, no delay is too large for its column.
+        others = [one for one in causes.of("zero", "gain", "drift", "term") if causes.is_sure(one)]
+        large = causes.before > LOST * causes.folds.energy
+        large &= not any(causes.is_little(causes.left([one])) for one in others)
+        for one in causes.of("delay"):
+            if (found := self._delay(one, large)) is not None:
+                known[one] = found
         for doubt, one in known.items():
             causes.settle(doubt, one.left * causes.folds.energy)
         others = [doubt for doubt in causes.of("zero", "gain", "drift", "term")]
@@ -137,10 +143,10 @@ class Weighing:
         most = self.causes.plausible[doubt.name]
         return settled(self.asked, self.records, doubt, most, start, lagged)
 
-    def _delay(self, doubt: Doubt) -> Settled | None:
-        """A delay once it is undone, or the low-pass that leaves less, if it is no chance."""
+    def _delay(self, doubt: Doubt, large: bool) -> Settled | None:
+        """A delay once it is undone, or the low-pass that leaves less, if it is no chance; one that
+        may be too `large` for its column is looked for farther away."""
         causes, energy = self.causes, self.causes.folds.energy
-        large = causes.before > LOST * energy
         if not (large or self._near(doubt)):
             return None
         found = self._settled(doubt)
