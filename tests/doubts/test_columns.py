@@ -66,7 +66,7 @@ def test_noise_is_taken_off_the_products_of_every_column():
     taken_off = np.diagonal((found.samples - found.motion).sum(0))
     made = np.diagonal(truth.samples.sum(0))
     # Each is over the size of its own target.
-    assert taken_off / taken_off[0] == pytest.approx(made / made[0], rel=0.1)
+    assert taken_off / taken_off[0] == pytest.approx(made / made[0], rel=0.3)
 
 
 def test_a_coefficient_beside_others_and_its_error_are_those_of_least_squares():
