@@ -13,9 +13,11 @@ import numpy as np
 from jaxtyping import Array
 
 import riecjax as rx
+from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.models.catalogue import find_model
 
 RATE, SAMPLES = 200, 6000
+"""Of a recording, unless it is to last so many blocks."""
 LEAD, TAIL = 200, 200
 """Samples simulated before the first and after the last that is recorded."""
 FINE = 4
@@ -66,6 +68,13 @@ class Machine(NamedTuple):
     def signals(self) -> tuple[str, ...]:
         """All that is recorded."""
         return (self.position, self.velocity, self.force, *self.others)
+
+    def samples(self, blocks: int | None) -> int:
+        """Of a recording of so many blocks, each of twice the longest window."""
+        if blocks is None:
+            return SAMPLES
+        longest = rx.RIEC.of_band(find_model(self.model).band or DEFAULT_BAND).windows.beta
+        return round(2 * float(longest) * RATE * blocks)
 
 
 def _defaults(model: str) -> dict[str, float]:
@@ -122,7 +131,9 @@ MACHINES = {
 
 
 @functools.lru_cache(maxsize=64)
-def motion(name: str, seed: int, share: float = 1.0) -> dict[str, np.ndarray]:
+def motion(
+    name: str, seed: int, share: float = 1.0, samples: int = SAMPLES
+) -> dict[str, np.ndarray]:
     """A machine's signals without noise, at `FINE` times the recorded rate, `LEAD` samples early.
 
     `share` scales the drive.
@@ -130,7 +141,7 @@ def motion(name: str, seed: int, share: float = 1.0) -> dict[str, np.ndarray]:
     machine = MACHINES[name]
     rng = np.random.default_rng([seed, list(MACHINES).index(name)])
     rms, low, high = machine.tones
-    time = np.arange((LEAD + SAMPLES + TAIL) * FINE) / (RATE * FINE)
+    time = np.arange((LEAD + samples + TAIL) * FINE) / (RATE * FINE)
     frequencies = rng.uniform(low, high, TONES)
     phases = rng.uniform(0, 2 * np.pi, TONES)
     drive = np.zeros(time.size)
