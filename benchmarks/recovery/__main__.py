@@ -29,7 +29,7 @@ import scipy.stats
 
 from benchmarks.recorded import FOLDER, filled_in, table, write_json
 from benchmarks.recovery.faults import FAULTS, SEVERITIES
-from benchmarks.recovery.machines import MACHINES
+from benchmarks.recovery.machines import MACHINES, Machine
 from riecjax.runtime import start_jax
 
 NOISE = 0.01
@@ -125,6 +125,10 @@ def by_blocks(results: dict[str, dict[str, Any]]) -> str:
     return table(head, rows)
 
 
+def of_length(name: str, blocks: int | None) -> Machine:
+    return MACHINES[name] if blocks is None else MACHINES[name].lasting(blocks)
+
+
 def cases(
     arguments: argparse.Namespace, folder: Path, blocks: int | None
 ) -> Iterable[dict[str, Any]]:
@@ -134,15 +138,14 @@ def cases(
     for name in arguments.models:
         # What the one before has compiled serves no other, and memory maps are few.
         jax.clear_caches()
-        machine = MACHINES[name]
+        machine = of_length(name, blocks)
         for fault in arguments.only or (FAULTS if blocks is None else OF_EQUATIONS):
             if FAULTS[fault].machines and name not in FAULTS[fault].machines:
                 continue
             for severity in FAULTS[fault].severities():
                 for seed in range(arguments.seeds if severity in arguments.severities else 0):
                     began = time.perf_counter()
-                    length = machine.samples(blocks)
-                    outcome, answer = judged(fault, machine, severity, seed, NOISE, folder, length)
+                    outcome, answer = judged(fault, machine, severity, seed, NOISE, folder)
                     cell = outcome._asdict()
                     seconds = f"({time.perf_counter() - began:.1f} s)"
                     print(line(cell), seconds if arguments.verbose else "", flush=True)
@@ -158,7 +161,7 @@ def clean(arguments: argparse.Namespace, folder: Path, blocks: int | None) -> li
     found = []
     for name in arguments.models:
         jax.clear_caches()
-        length = MACHINES[name].samples(blocks)
+        length = of_length(name, blocks).samples
         for seed in range(arguments.models.index(name), arguments.clean, len(arguments.models)):
             answer = sound_answer(name, CLEAN_SEEDS + seed, NOISE, folder, length)
             codes = tuple(f.code for f in answer.findings if counts(f.code))
@@ -216,7 +219,7 @@ def main() -> None:
                 keep(arguments.json, blocks, [cell], None)
             found = clean(arguments, Path(folder), blocks) if arguments.clean else None
             alarms = None if found is None else false_alarms(found)
-            keep(arguments.json, blocks, cells, alarms)
+            keep(arguments.json, blocks, [], alarms)
             results[str(blocks)] = {"cases": cells, "clean": alarms}
             print(tables(results[str(blocks)]), flush=True)
     if arguments.blocks != [None]:

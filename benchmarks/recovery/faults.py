@@ -11,7 +11,7 @@ import numpy as np
 import scipy.interpolate
 import scipy.signal
 
-from benchmarks.recovery.machines import FINE, LEAD, RATE, SAMPLES, Machine, motion
+from benchmarks.recovery.machines import FINE, LEAD, RATE, Machine, motion
 
 Rows = dict[str, np.ndarray]
 SEVERITIES = ("mild", "middle", "severe")
@@ -24,17 +24,10 @@ class Logger:
     standard deviation of each; `rows`, what is logged; `rng` of the fault's own chance.
     """
 
-    def __init__(
-        self,
-        machine: Machine,
-        seed: int,
-        noise: float,
-        share: float = 1.0,
-        samples: int = SAMPLES,
-    ):
-        self.machine, self.samples = machine, samples
-        self.fine = dict(motion(machine.name, seed, share, samples))
-        self.times = {name: np.arange(samples, dtype=float) for name in self.fine}
+    def __init__(self, machine: Machine, seed: int, noise: float, share: float = 1.0):
+        self.machine, self.samples = machine, machine.samples
+        self.fine = dict(motion(machine.name, seed, share, self.samples))
+        self.times = {name: np.arange(self.samples, dtype=float) for name in self.fine}
         self.noise = {name: noise * float(np.std(row)) for name, row in self.fine.items()}
         self.rows: Rows = {}
         self.seed = seed
@@ -257,18 +250,13 @@ FAULTS = {
 
 
 def recorded(
-    machine: Machine,
-    name: str | None,
-    severity: str,
-    seed: int,
-    noise: float,
-    samples: int = SAMPLES,
+    machine: Machine, name: str | None, severity: str, seed: int, noise: float
 ) -> list[tuple[float, Rows]]:
     """Recordings with a fault, or without: of each the time of its first row, and its columns."""
     fault = FAULTS[name] if name else None
     size: Any = fault.severities()[severity] if fault else None
     share = size if fault and name == "sticking" else 1.0
-    log = Logger(machine, seed, noise, share, samples)
+    log = Logger(machine, seed, noise, share)
     signal = getattr(machine, fault.on) if fault and fault.on else ""
     if fault and fault.before:
         fault.act(log, signal, size)
@@ -277,6 +265,6 @@ def recorded(
         fault.act(log, signal, size)
     if name != "duplicate":
         return [(0.0, log.rows)]
-    part = slice(samples // 2, None) if size == "half" else slice(None)
+    part = slice(log.samples // 2, None) if size == "half" else slice(None)
     again = {k: v[part] for k, v in log.rows.items()}
     return [(0.0, log.rows), (60.0 if size == "shifted" else 0.0, again)]

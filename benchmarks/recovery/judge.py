@@ -149,17 +149,11 @@ def distance(answer: Answer, sound: Answer) -> tuple[float, str, bool]:
 
 
 def judged(
-    fault: str,
-    machine: Machine,
-    severity: str,
-    seed: int,
-    noise: float,
-    folder: Path,
-    samples: int = SAMPLES,
+    fault: str, machine: Machine, severity: str, seed: int, noise: float, folder: Path
 ) -> tuple[Outcome, Answer]:
     """A faulty recording beside the sound one of the same motion and noise."""
-    sound = sound_answer(machine.name, seed, noise, folder, samples)
-    files = written(recorded(machine, fault, severity, seed, noise, samples), folder)
+    sound = sound_answer(machine.name, seed, noise, folder, machine.samples)
+    files = written(recorded(machine, fault, severity, seed, noise), folder)
     answer = answered(machine, files)
     known = {(f.code, f.signals) for f in sound.findings}
     new = [f for f in answer.findings if (f.code, f.signals) not in known and counts(f.code)]
@@ -206,7 +200,7 @@ def counts(code: str) -> bool:
 def rests(name: str, seed: int, noise: float, samples: int = SAMPLES) -> bool:
     """Whether a machine rests for more than `RESTING` of the time: its velocity, without noise, is
     smaller than noise of this share, in stretches of `HELD` samples at the least."""
-    rows = recorded(MACHINES[name], None, "", seed, 0.0, samples)[0][1]
+    rows = recorded(MACHINES[name]._replace(samples=samples), None, "", seed, 0.0)[0][1]
     velocity = rows[MACHINES[name].velocity]
     size = noise * float(np.std(velocity))
     still = np.concatenate([[False], np.abs(velocity) < size, [False]])
@@ -220,8 +214,8 @@ def sound_answer(
     name: str, seed: int, noise: float, folder: Path, samples: int = SAMPLES
 ) -> Answer:
     """Of the recording without a fault."""
-    machine = MACHINES[name]
-    files = written(recorded(machine, None, "", seed, noise, samples), folder)
+    machine = MACHINES[name]._replace(samples=samples)
+    files = written(recorded(machine, None, "", seed, noise), folder)
     answer = answered(machine, files)
     if answer.error:
         raise RuntimeError(f"{name}, seed {seed}: the sound recording is refused: {answer.error}")

@@ -17,7 +17,6 @@ from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.models.catalogue import find_model
 
 RATE, SAMPLES = 200, 6000
-"""Of a recording, unless it is to last so many blocks."""
 LEAD, TAIL = 200, 200
 """Samples simulated before the first and after the last that is recorded."""
 FINE = 4
@@ -51,7 +50,8 @@ class Machine(NamedTuple):
     """A machine, the model that is right for it, and which of its signals are what.
 
     **Fields:** `model`, by name; `truth`; `drive`, what moves it, with the rms and the lowest and
-    highest frequency in hertz of its tones; `position`, `velocity` and `force`; `others`.
+    highest frequency in hertz of its tones; `position`, `velocity` and `force`; `others`; how
+    many `samples` a recording has.
     """
 
     name: str
@@ -63,18 +63,17 @@ class Machine(NamedTuple):
     velocity: str
     force: str
     others: tuple[str, ...] = ()
+    samples: int = SAMPLES
 
     @property
     def signals(self) -> tuple[str, ...]:
         """All that is recorded."""
         return (self.position, self.velocity, self.force, *self.others)
 
-    def samples(self, blocks: int | None) -> int:
-        """Of a recording of so many blocks, each of twice the longest window."""
-        if blocks is None:
-            return SAMPLES
+    def lasting(self, blocks: int) -> "Machine":
+        """With recordings of so many blocks, each of twice the longest window."""
         longest = rx.RIEC.of_band(find_model(self.model).band or DEFAULT_BAND).windows.beta
-        return round(2 * float(longest) * RATE * blocks)
+        return self._replace(samples=round(2 * float(longest) * RATE * blocks))
 
 
 def _defaults(model: str) -> dict[str, float]:
