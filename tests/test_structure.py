@@ -22,8 +22,8 @@ BUDGETS = {
     "src statements": 23_300,
     "src literals": 1_565,
     "lines of commands and settings": 2_300,
-    "tests lines": 26_450,
-    "benchmarks lines": 8_620,
+    "tests lines": 26_800,
+    "benchmarks lines": 8_680,
     "README lines": 150,
 }
 LEAST_PROSE = 17

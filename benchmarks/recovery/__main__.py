@@ -1,11 +1,16 @@
 """Faulty recordings of known machines through `riecjax identify`: `python -m benchmarks.recovery`.
 
     python -m benchmarks.recovery [--only FAULT ...] [--models car drag axis pendulum dry]
-        [--severities mild middle severe] [--seeds N] [--clean N] [--json FILE] [--verbose]
+        [--severities mild middle severe] [--seeds N] [--clean N] [--blocks N ...]
+        [--json FILE] [--verbose]
     python -m benchmarks.recovery --page
 
 A fault harms where it moves a parameter by more than three standard errors and half a percent from
 what the sound recording of the same motion and noise gives, or narrows an interval by a tenth.
+With `--blocks` recordings last so many blocks of twice the longest window, in turn, which shows how
+long one must be for what is told of it; the faults are those of `OF_EQUATIONS` unless some are
+named. In minutes: `--blocks 4 8 15 30 60 --severities middle --clean 50`.
+
 With `--json` results are kept, beside those of other faults and machines that the file holds
 already; `--page` writes the table of docs/warnings.md from benchmarks/faults.json.
 """
@@ -22,14 +27,23 @@ from typing import Any
 import jax
 import scipy.stats
 
-from benchmarks.recorded import FOLDER, filled_in, write_json
+from benchmarks.recorded import FOLDER, filled_in, table, write_json
 from benchmarks.recovery.faults import FAULTS, SEVERITIES
-from benchmarks.recovery.machines import MACHINES
+from benchmarks.recovery.machines import MACHINES, Machine
 from riecjax.runtime import start_jax
 
 NOISE = 0.01
 CLEAN_SEEDS = 1000
 """Seeds of clean recordings begin here."""
+OF_EQUATIONS = (
+    "late force",
+    "low-passed force",
+    "zero of force",
+    "drift of force",
+    "clock of force",
+    "gain of velocity",
+)
+"""Faults that only what equations leave can tell of, and one that two sensors tell of."""
 CURED = 3.0
 """Standard errors within which an answer is right after the remedy."""
 
@@ -75,7 +89,9 @@ def false_alarms(codes: Sequence[Sequence[str]]) -> dict[str, Any]:
 
 def page() -> str:
     """docs/warnings.md with the tables of what is recorded."""
-    return filled_in(PAGE, BEGIN, tables(json.loads((FOLDER / "faults.json").read_text())))
+    document = json.loads((FOLDER / "faults.json").read_text())
+    lengths = f"\n\n{by_blocks(document['blocks'])}" if "blocks" in document else ""
+    return filled_in(PAGE, BEGIN, tables(document) + lengths)
 
 
 def tables(document: dict[str, Any]) -> str:
@@ -97,15 +113,33 @@ def tables(document: dict[str, Any]) -> str:
     return "\n".join(rows) + f"\n\nOn {every} sound recordings: {', '.join(told) or 'nothing'}."
 
 
-def cases(arguments: argparse.Namespace, folder: Path) -> Iterable[dict[str, Any]]:
+def by_blocks(results: dict[str, dict[str, Any]]) -> str:
+    """In Markdown: by blocks that recordings last, what is told of faults and of no fault."""
+    head = ("blocks", "harmed", "of these detected", "named", "right after", "said of sound ones")
+    rows = []
+    for blocks, document in results.items():
+        alarms = document["clean"] or {"recordings": 0, "codes": {}}
+        told = ", ".join(f"`{code}` {one['count']}" for code, one in alarms["codes"].items())
+        of = f"{told or 'nothing'} of {alarms['recordings']}" if document["clean"] else "-"
+        rows.append((blocks, *shares(document["cases"]), of))
+    return table(head, rows)
+
+
+def of_length(name: str, blocks: int | None) -> Machine:
+    return MACHINES[name] if blocks is None else MACHINES[name].lasting(blocks)
+
+
+def cases(
+    arguments: argparse.Namespace, folder: Path, blocks: int | None
+) -> Iterable[dict[str, Any]]:
     """All that is asked for, machine by machine: each compiles its own programs."""
     from benchmarks.recovery.judge import judged
 
     for name in arguments.models:
         # What the one before has compiled serves no other, and memory maps are few.
         jax.clear_caches()
-        machine = MACHINES[name]
-        for fault in arguments.only or FAULTS:
+        machine = of_length(name, blocks)
+        for fault in arguments.only or (FAULTS if blocks is None else OF_EQUATIONS):
             if FAULTS[fault].machines and name not in FAULTS[fault].machines:
                 continue
             for severity in FAULTS[fault].severities():
@@ -120,17 +154,18 @@ def cases(arguments: argparse.Namespace, folder: Path) -> Iterable[dict[str, Any
                     yield cell
 
 
-def clean(arguments: argparse.Namespace, folder: Path) -> list[tuple[str, ...]]:
+def clean(arguments: argparse.Namespace, folder: Path, blocks: int | None) -> list[tuple[str, ...]]:
     """Codes of findings on sound recordings, of the machines in turn."""
     from benchmarks.recovery.judge import counts, rests, sound_answer
 
     found = []
     for name in arguments.models:
         jax.clear_caches()
+        length = of_length(name, blocks).samples
         for seed in range(arguments.models.index(name), arguments.clean, len(arguments.models)):
-            answer = sound_answer(name, CLEAN_SEEDS + seed, NOISE, folder)
+            answer = sound_answer(name, CLEAN_SEEDS + seed, NOISE, folder, length)
             codes = tuple(f.code for f in answer.findings if counts(f.code))
-            if "at_rest" in codes and rests(name, CLEAN_SEEDS + seed, NOISE):
+            if "at_rest" in codes and rests(name, CLEAN_SEEDS + seed, NOISE, length):
                 codes = tuple(code for code in codes if code != "at_rest")  # it is
             if codes:
                 print(f"{name:<9} sound, seed {CLEAN_SEEDS + seed}: {', '.join(codes)}", flush=True)
@@ -140,15 +175,23 @@ def clean(arguments: argparse.Namespace, folder: Path) -> list[tuple[str, ...]]:
     return found
 
 
-def kept(file: Path | None, cells: Cells, alarms: dict[str, Any] | None) -> dict[str, Any]:
-    """The document with these results, and those of other cases that the file holds."""
-    document: dict[str, Any] = {"cases": [], "clean": None}
-    if file is not None and file.exists():
-        document = json.loads(file.read_text())
+def keep(
+    file: Path | None, blocks: int | None, cells: Cells, alarms: dict[str, Any] | None
+) -> None:
+    """Write these results, beside those of other cases and lengths that the file holds."""
+    if file is None:
+        return
+    whole: dict[str, Any] = json.loads(file.read_text()) if file.exists() else {}
+    empty: dict[str, Any] = {"cases": [], "clean": None}
+    whole = empty | whole
+    document = whole
+    if blocks is not None:
+        document = whole.setdefault("blocks", {}).setdefault(str(blocks), empty)
     keys = ("fault", "machine", "severity", "seed")
     done = {tuple(cell[key] for key in keys) for cell in cells}
     others = [c for c in document["cases"] if tuple(c[key] for key in keys) not in done]
-    return {"cases": [*others, *cells], "clean": alarms or document["clean"]}
+    document |= {"cases": [*others, *cells], "clean": alarms or document["clean"]}
+    write_json(file, whole)
 
 
 def main() -> None:
@@ -158,6 +201,7 @@ def main() -> None:
     parser.add_argument("--severities", nargs="+", choices=SEVERITIES, default=SEVERITIES)
     parser.add_argument("--seeds", type=int, default=1, help="of motion and noise, for each case")
     parser.add_argument("--clean", type=int, default=0, help="sound recordings beside them")
+    parser.add_argument("--blocks", nargs="+", type=int, default=[None], help="of recordings")
     parser.add_argument("--json", type=Path, help="where results are kept")
     parser.add_argument("--verbose", action="store_true", help="print every finding")
     parser.add_argument("--page", action="store_true", help="write the documentation's table")
@@ -166,16 +210,20 @@ def main() -> None:
         PAGE.write_text(page(), encoding="utf-8")
         return
     start_jax(keep_compiled=True)
+    results = {}
     with tempfile.TemporaryDirectory() as folder:
-        cells: Cells = []
-        for cell in cases(arguments, Path(folder)):
-            cells.append(cell)
-            if arguments.json:
-                write_json(arguments.json, kept(arguments.json, [cell], None))
-        alarms = false_alarms(clean(arguments, Path(folder))) if arguments.clean else None
-    if arguments.json:
-        write_json(arguments.json, kept(arguments.json, cells, alarms))
-    print(tables({"cases": cells, "clean": alarms}))
+        for blocks in arguments.blocks:
+            cells: Cells = []
+            for cell in cases(arguments, Path(folder), blocks):
+                cells.append(cell)
+                keep(arguments.json, blocks, [cell], None)
+            found = clean(arguments, Path(folder), blocks) if arguments.clean else None
+            alarms = None if found is None else false_alarms(found)
+            keep(arguments.json, blocks, [], alarms)
+            results[str(blocks)] = {"cases": cells, "clean": alarms}
+            print(tables(results[str(blocks)]), flush=True)
+    if arguments.blocks != [None]:
+        print(by_blocks(results))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.interpolate
 import scipy.signal
 
-from benchmarks.recovery.machines import FINE, LEAD, RATE, SAMPLES, Machine, motion
+from benchmarks.recovery.machines import FINE, LEAD, RATE, Machine, motion
 
 Rows = dict[str, np.ndarray]
 SEVERITIES = ("mild", "middle", "severe")
@@ -25,9 +25,9 @@ class Logger:
     """
 
     def __init__(self, machine: Machine, seed: int, noise: float, share: float = 1.0):
-        self.machine = machine
-        self.fine = dict(motion(machine.name, seed, share))
-        self.times = {name: np.arange(SAMPLES, dtype=float) for name in self.fine}
+        self.machine, self.samples = machine, machine.samples
+        self.fine = dict(motion(machine.name, seed, share, self.samples))
+        self.times = {name: np.arange(self.samples, dtype=float) for name in self.fine}
         self.noise = {name: noise * float(np.std(row)) for name, row in self.fine.items()}
         self.rows: Rows = {}
         self.seed = seed
@@ -39,7 +39,7 @@ class Logger:
         at = np.arange(self.fine[self.machine.force].size) / FINE - LEAD
         for name, values in self.fine.items():
             exact = scipy.interpolate.make_interp_spline(at, values, 3)(self.times[name])
-            self.rows[name] = exact + self.noise[name] * rng.standard_normal(SAMPLES)
+            self.rows[name] = exact + self.noise[name] * rng.standard_normal(self.samples)
 
     def deviation(self, name: str) -> float:
         """Standard deviation of a signal in motion."""
@@ -94,13 +94,13 @@ def offset(log: Logger, name: str, share: float) -> None:
 
 
 def drift(log: Logger, name: str, share: float) -> None:
-    ramp = np.arange(log.fine[name].size) / (SAMPLES * FINE) - 0.5
+    ramp = np.arange(log.fine[name].size) / (log.samples * FINE) - 0.5
     log.fine[name] = log.fine[name] + share * log.deviation(name) * ramp
 
 
 def rows_lost(log: Logger, name: str, count: int) -> None:
     for each in [name] if name else log.times:
-        log.times[each][int(0.4 * SAMPLES) :] += count
+        log.times[each][int(0.4 * log.samples) :] += count
 
 
 def other_clock(log: Logger, name: str, ppm: float) -> None:
@@ -130,27 +130,27 @@ def clipped(log: Logger, name: str, share: float) -> None:
 
 def spikes(log: Logger, name: str, deviations: float) -> None:
     """On one sample of a hundred, of either sign."""
-    where = log.rng.choice(SAMPLES, SAMPLES // 100, replace=False)
+    where = log.rng.choice(log.samples, log.samples // 100, replace=False)
     log.rows[name][where] += deviations * log.noise[name] * log.rng.choice([-1, 1], where.size)
 
 
 def huge_spike(log: Logger, name: str, size: float) -> None:
-    log.rows[name][SAMPLES // 3] = size
+    log.rows[name][log.samples // 3] = size
 
 
 def stuck(log: Logger, name: str, seconds: float) -> None:
-    begin = int(0.6 * SAMPLES)
+    begin = int(0.6 * log.samples)
     log.rows[name][begin : begin + int(seconds * RATE)] = log.rows[name][begin]
 
 
 def held(log: Logger, name: str, samples: int) -> None:
     """A message that comes once in so many rows."""
-    log.rows[name] = np.repeat(log.rows[name][::samples], samples)[:SAMPLES]
+    log.rows[name] = np.repeat(log.rows[name][::samples], samples)[: log.samples]
 
 
 def dropouts(log: Logger, name: str, samples: int) -> None:
     """At 20 places, to what a logger writes for none: zero of a position, else the value before."""
-    for place in (SAMPLES // 20) * np.arange(20) + log.rng.integers(0, SAMPLES // 40, 20):
+    for place in (log.samples // 20) * np.arange(20) + log.rng.integers(0, log.samples // 40, 20):
         zero = name == log.machine.position
         log.rows[name][place : place + samples] = 0.0 if zero else log.rows[name][place]
 
@@ -163,13 +163,13 @@ def copied(log: Logger, name: str, factor: float) -> None:
 
 def silent(log: Logger, name: str, level: float | None) -> None:
     """A constant, or noise alone."""
-    noise = log.noise[name] * log.rng.standard_normal(SAMPLES)
-    log.rows[name] = noise if level is None else np.full(SAMPLES, level)
+    noise = log.noise[name] * log.rng.standard_normal(log.samples)
+    log.rows[name] = noise if level is None else np.full(log.samples, level)
 
 
 def gaps(log: Logger, name: str, share: float) -> None:
     """Stretches of 20 samples."""
-    starts = log.rng.choice(SAMPLES // 20, round(share * SAMPLES / 20), replace=False) * 20
+    starts = log.rng.choice(log.samples // 20, round(share * log.samples / 20), replace=False) * 20
     for start in starts:
         log.rows[name][start : start + 20] = np.nan
 
@@ -265,6 +265,6 @@ def recorded(
         fault.act(log, signal, size)
     if name != "duplicate":
         return [(0.0, log.rows)]
-    part = slice(SAMPLES // 2, None) if size == "half" else slice(None)
+    part = slice(log.samples // 2, None) if size == "half" else slice(None)
     again = {k: v[part] for k, v in log.rows.items()}
     return [(0.0, log.rows), (60.0 if size == "shifted" else 0.0, again)]

@@ -17,7 +17,7 @@ import click
 import numpy as np
 
 from benchmarks.recovery.faults import FAULTS, recorded
-from benchmarks.recovery.machines import MACHINES, RATE, Machine
+from benchmarks.recovery.machines import MACHINES, RATE, SAMPLES, Machine
 from riecjax.cli.identify import command
 from riecjax.cli.main import run
 from riecjax.findings import class_of
@@ -152,7 +152,7 @@ def judged(
     fault: str, machine: Machine, severity: str, seed: int, noise: float, folder: Path
 ) -> tuple[Outcome, Answer]:
     """A faulty recording beside the sound one of the same motion and noise."""
-    sound = sound_answer(machine.name, seed, noise, folder)
+    sound = sound_answer(machine.name, seed, noise, folder, machine.samples)
     files = written(recorded(machine, fault, severity, seed, noise), folder)
     answer = answered(machine, files)
     known = {(f.code, f.signals) for f in sound.findings}
@@ -197,10 +197,10 @@ def counts(code: str) -> bool:
     return class_of(code).kind not in ("data", "computation")
 
 
-def rests(name: str, seed: int, noise: float) -> bool:
+def rests(name: str, seed: int, noise: float, samples: int = SAMPLES) -> bool:
     """Whether a machine rests for more than `RESTING` of the time: its velocity, without noise, is
     smaller than noise of this share, in stretches of `HELD` samples at the least."""
-    rows = recorded(MACHINES[name], None, "", seed, 0.0)[0][1]
+    rows = recorded(MACHINES[name]._replace(samples=samples), None, "", seed, 0.0)[0][1]
     velocity = rows[MACHINES[name].velocity]
     size = noise * float(np.std(velocity))
     still = np.concatenate([[False], np.abs(velocity) < size, [False]])
@@ -210,9 +210,11 @@ def rests(name: str, seed: int, noise: float) -> bool:
 
 
 @functools.lru_cache(maxsize=256)
-def sound_answer(name: str, seed: int, noise: float, folder: Path) -> Answer:
+def sound_answer(
+    name: str, seed: int, noise: float, folder: Path, samples: int = SAMPLES
+) -> Answer:
     """Of the recording without a fault."""
-    machine = MACHINES[name]
+    machine = MACHINES[name]._replace(samples=samples)
     files = written(recorded(machine, None, "", seed, noise), folder)
     answer = answered(machine, files)
     if answer.error:

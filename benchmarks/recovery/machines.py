@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 import riecjax as rx
+from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.models.catalogue import find_model
 
 RATE, SAMPLES = 200, 6000
@@ -49,7 +50,8 @@ class Machine(NamedTuple):
     """A machine, the model that is right for it, and which of its signals are what.
 
     **Fields:** `model`, by name; `truth`; `drive`, what moves it, with the rms and the lowest and
-    highest frequency in hertz of its tones; `position`, `velocity` and `force`; `others`.
+    highest frequency in hertz of its tones; `position`, `velocity` and `force`; `others`; how
+    many `samples` a recording has.
     """
 
     name: str
@@ -61,11 +63,17 @@ class Machine(NamedTuple):
     velocity: str
     force: str
     others: tuple[str, ...] = ()
+    samples: int = SAMPLES
 
     @property
     def signals(self) -> tuple[str, ...]:
         """All that is recorded."""
         return (self.position, self.velocity, self.force, *self.others)
+
+    def lasting(self, blocks: int) -> "Machine":
+        """With recordings of so many blocks, each of twice the longest window."""
+        longest = rx.RIEC.of_band(find_model(self.model).band or DEFAULT_BAND).windows.beta
+        return self._replace(samples=round(2 * float(longest) * RATE * blocks))
 
 
 def _defaults(model: str) -> dict[str, float]:
@@ -122,7 +130,9 @@ MACHINES = {
 
 
 @functools.lru_cache(maxsize=64)
-def motion(name: str, seed: int, share: float = 1.0) -> dict[str, np.ndarray]:
+def motion(
+    name: str, seed: int, share: float = 1.0, samples: int = SAMPLES
+) -> dict[str, np.ndarray]:
     """A machine's signals without noise, at `FINE` times the recorded rate, `LEAD` samples early.
 
     `share` scales the drive.
@@ -130,7 +140,7 @@ def motion(name: str, seed: int, share: float = 1.0) -> dict[str, np.ndarray]:
     machine = MACHINES[name]
     rng = np.random.default_rng([seed, list(MACHINES).index(name)])
     rms, low, high = machine.tones
-    time = np.arange((LEAD + SAMPLES + TAIL) * FINE) / (RATE * FINE)
+    time = np.arange((LEAD + samples + TAIL) * FINE) / (RATE * FINE)
     frequencies = rng.uniform(low, high, TONES)
     phases = rng.uniform(0, 2 * np.pi, TONES)
     drive = np.zeros(time.size)
