@@ -1,5 +1,7 @@
 """Inputs that drift or say nothing."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -7,6 +9,7 @@ from test_delays import AXIS
 
 import riecjax as rx
 from riecjax.assessment.causes import causes_found
+from riecjax.estimation.check import Check
 from riecjax.estimation.identify import identify
 from riecjax.records.derived import derived
 from riecjax.records.record import Record
@@ -17,6 +20,7 @@ from riecjax.validation.residuals import ResidualTests
 from riecjax.validation.tests import residuals_tested
 
 RATE, COUNT = 100.0, 6000
+NOTHING = Check([], [], (), rx.DOLS())
 LAW = rx.Equation(rx.Term("c", "v"), rx.Term("k", "x"), -rx.Term(1.0, "u"))
 
 
@@ -38,7 +42,7 @@ def found(record: rx.Record) -> list[rx.findings.Finding]:
     records = [one.record for one in ready(rx.staged(LAW), record)]
     estimate = rx.identify(LAW, records)
     errors = errors_over_records(LAW, records, estimate.values)
-    return causes_found(rx.staged(LAW), records, errors, estimate)
+    return causes_found(NOTHING, rx.staged(LAW), records, errors, estimate)
 
 
 @pytest.mark.raises_finding("drifting_signal")
@@ -91,7 +95,7 @@ def codes(signals, *others) -> list[tuple[str, tuple[str, ...]]]:
     every = [Record.from_samples(one, time_step=STEP) for one in (signals, *others)]
     records = [one.record for one in ready(AXIS, every)]
     estimate = identify(AXIS, records, intervals=Sandwich())
-    residuals, *_ = residuals_tested(AXIS, records, estimate, causes_found).tests
+    residuals, *_ = residuals_tested(AXIS, records, estimate, partial(causes_found, NOTHING)).tests
     assert isinstance(residuals, ResidualTests)
     return [(f.code, f.signals) for f in residuals.faults]
 

@@ -197,7 +197,9 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
         refined = None if refinement is None else refinement.answer
         if refined is None:
             of_sums.raise_if_refused()
-        residuals = residuals_tested(model, records, estimate, causes_found)
+        residuals = residuals_tested(
+            model, records, estimate, functools.partial(causes_found, checked)
+        )
         failures += at_rest_findings(
             model, records, estimate, lambda other: again(records, other, intervals)
         )

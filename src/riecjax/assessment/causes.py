@@ -25,8 +25,12 @@ from riecjax.records.signal import noise_level
 from riecjax.validation.equation_errors import EquationError
 from riecjax.validation.residuals import window_errors
 
+SPOILT = 0.1
+"""Share of a value that a sensor's fault moves it by, from which no equation is asked for more."""
+
 
 def causes_found(
+    checked: Check,
     model: Model,
     records: Sequence[Record],
     errors: Sequence[Sequence[EquationError]],
@@ -35,7 +39,10 @@ def causes_found(
     """What explains most of what a model leaves: inputs that say nothing; else faults of sensors,
     and terms that it lacks.
 
-    **Arguments:** `errors` of each equation on each record.
+    Of signals that contradict each other, or are not what their sensors saw, an equation blames the
+    wrong one: then nothing is looked for.
+
+    **Arguments:** what was `checked` before the fit; `errors` of each equation on each record.
     """
     # Not earlier: who only checks recordings waits for none of these.
     from riecjax.discovery.candidate import lacked
@@ -44,6 +51,12 @@ def causes_found(
     silent = [*silent_inputs(model.equations, records, errors, estimate.criterion.windows)]
     if silent:
         return silent
+    if any(
+        (finding.about.disorder or finding.about.undo == "itself")
+        and max(finding.doubts.values(), default=finding.doubt) > SPOILT
+        for finding in checked.findings
+    ):
+        return []
     causes = demanded(model, records, estimate, lacked)
     return [finding_of(cause, model, records) for cause in causes]
 

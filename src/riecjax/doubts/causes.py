@@ -42,7 +42,7 @@ OWN = 1e-7
 """Share of a column that is its own beside regressors and target, below which rounding makes it."""
 OWN_NOISE = 0.05
 """The same over the noise in it: no closer is known how much noise there is."""
-WORTH = 2e-5
+WORTH = 4e-6
 """Share of the target's energy that a doubt explains at the least: less is within reach of what
 sampling and integration do."""
 
@@ -173,8 +173,9 @@ class Causes:
         return []
 
     def _alike(self, best: Doubt, beside: Sequence[Doubt], among: Sequence[Doubt]) -> list[Doubt]:
-        """The best doubt and those that say the same; of drifts, whichever signal's, those too
-        that leave hardly more: they are taken off an input as well as off any other."""
+        """The best doubt, those that say the same, and of those that leave hardly more: terms,
+        which are likelier than what looks like them; and drifts of other signals, if it is one,
+        which are taken off an input as well as off any other."""
         most = max(CLEARER * self.left([*beside, best]), OF_NOISE * self.noise)
         same = self.same_as(best, among)
         return [
@@ -182,7 +183,11 @@ class Causes:
             for doubt in among
             if doubt is best
             or doubt in same
-            or (doubt.kind == best.kind == "drift" and self.left([*beside, doubt]) <= most)
+            or (
+                (doubt.kind == "term" or doubt.kind == best.kind == "drift")
+                and self.left([*beside, doubt]) <= most
+                and self.is_sure(doubt, beside)
+            )
         ]
 
     def same_as(self, doubt: Doubt, among: Sequence[Doubt]) -> list[Doubt]:
@@ -247,8 +252,8 @@ class Causes:
 
 
 def _simplicity(doubt: Doubt) -> int:
-    """What is said first of doubts that are the same: a constant, a zero, any other term; of
-    these, what comes first."""
+    """What is said first of doubts that are alike: a constant, a zero, any other term; of these,
+    what comes first."""
     if doubt.term is not None:
         return 0 if doubt.term.of is constant else 2
     return 1 if doubt.kind == "zero" else 3

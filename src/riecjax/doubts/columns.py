@@ -22,7 +22,7 @@ tells them apart: so no error of an earlier stage is taken for a fault of a sens
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -43,8 +43,8 @@ ROWS = 4096
 """Windows of all records together."""
 MOST_SAMPLES = 2**17
 """Samples of each record that are looked at: no doubt needs more."""
-PROBES = 2
-"""Noises that are put through the columns."""
+PROBES = {"": 0, "plain": 2, "all": 8}
+"""Noises that are put through the columns, by whose noise is taken off."""
 BLOCK = 2
 """Longest windows to a fold of time at least."""
 GOLDEN = 0.5 * (5**0.5 - 1)
@@ -65,7 +65,7 @@ class Doubt:
     """What may be amiss: a column.
 
     **Fields:** `name`, of its column; `kind`; the `signals` that it changes, all by one `course`;
-    or the `term` that an `equation` may lack, by its `meaning`.
+    or the `term` that an `equation` may lack, by its `meaning`, and a `state` that it reads.
     """
 
     name: str
@@ -75,6 +75,7 @@ class Doubt:
     term: AbstractTerm | None = None
     equation: str = ""
     meaning: str = ""
+    state: Any = None
 
     def changes(self, samples: Samples, time: Samples) -> Samples:
         """How a fault of unit size changes a signal's samples."""
@@ -210,8 +211,8 @@ class _Columns:
         lacked = () if self.lacked is None else self.lacked.parameters
         names = (*self.plain.parameters, *lacked, *(doubt.name for doubt in sensors))
         rows = integrated([*sampled, *changed(record)])
-        noisy = self.noise and any(record.noise.kernels.get(name) for name in read)
-        return _Rows(names, rows, [noise(i) for i in range(PROBES if noisy else 0)])
+        noisy = any(record.noise.kernels.get(name) for name in read)
+        return _Rows(names, rows, [noise(i) for i in range(PROBES[self.noise] if noisy else 0)])
 
     def _residual(self, record: Record) -> Float[np.ndarray, "orders n"]:
         columns = sampled_columns(self.plain, record, self.criterion.smoothness)
@@ -231,7 +232,8 @@ class _Columns:
 
 class Asked(NamedTuple):
     """What is doubted: a `model` with `values` of all parameters, some of them `known`, by all
-    windows of a `criterion`; the columns of parameters, where it is known which are free, `base`.
+    windows of a `criterion`; the columns of parameters, where it is known which are free, `base`;
+    some of the `stages` alone.
     """
 
     model: Model
@@ -239,11 +241,12 @@ class Asked(NamedTuple):
     values: Mapping[str, float]
     known: Mapping[str, float]
     base: Collection[str] = ()
+    stages: Collection[int] = ()
 
     def with_values(self, found: Mapping[str, float]) -> "Asked":
         """The same with the values of columns, each parameter's in the first stage that has it."""
         values = dict(self.values)
-        for column, value in reversed(found.items()):
+        for column, value in reversed([*found.items()]):
             _, stage, name = column.rpartition(".")
             if stage and name in values:
                 values[name] = float(value)
@@ -282,23 +285,29 @@ def folds_of(
         if doubt.term is not None:
             terms.setdefault(doubt.equation, []).append(doubt.term)
     records = [each.part(0, min(each.sample_count, MOST_SAMPLES)) for each in records]
-    records = [with_memories(record, model.memories) for record in records]
+    states = [doubt.state for doubt in doubts if doubt.state is not None]
+    records = [with_memories(record, [*model.memories, *states]) for record in records]
     windows = windows_of(criterion, records)
     fold = np.concatenate([each.fold for each in windows])
     sensors = [doubt for doubt in doubts if doubt.course is not None]
     earlier: dict[str, float] = {}
     stages: list[_Rows] = []
-    for number, (equations, names) in enumerate(zip(model.stages, model.equation_names)):
+    larger = model.with_terms(terms) if terms else model
+    for number, (equations, further) in enumerate(zip(model.stages, larger.stages, strict=True)):
+        values_here = {n: values[n] for e in equations for n in e.parameters if n in values}
         parts = []
-        for equation, name in zip(equations, names, strict=True):
-            lacked = equation.of_terms(*terms[name]) if name in terms else None
+        for equation, with_all in zip(equations, further, strict=True):
+            if asked.stages and number not in asked.stages:
+                continue
+            own = with_all.terms[len(equation.terms) :]
+            lacked = equation.of_terms(*own) if own else None
             columns = _Columns(equation, lacked, sensors, values, criterion, noise)
             each = [columns.rows(*one) for one in zip(records, (w.drawn for w in windows))]
             parts.append(_joined(each))
-        stages.append(
-            _of_stage(parts, f"{number}.", asked, earlier, {doubt.name for doubt in doubts})
-        )
-        earlier |= {n: values[n] for e in equations for n in e.parameters if n in values}
+        if parts:
+            names = {doubt.name for doubt in doubts}
+            stages.append(_of_stage(parts, f"{number}.", asked, earlier, names))
+        earlier |= values_here
     return _products(stages, fold)
 
 
@@ -330,7 +339,8 @@ def _of_stage(
 ) -> _Rows:
     """Rows of all equations of a stage, over the size of its target.
 
-    Parameters that `earlier` stages found are free where the stage tells them from its own.
+    Parameters that `earlier` stages found are free where the stage tells them from its own, and
+    something is left for it to explain.
     """
     every = list(dict.fromkeys(name for part in parts for name in part.names))
 
@@ -348,7 +358,7 @@ def _of_stage(
         gram = found.rows[at] @ found.rows[at].T
         for noise in found.noises:
             gram -= noise[at] @ noise[at].T / len(found.noises)
-        apart = np.all(np.diagonal(gram) > 0)
+        apart = np.all(np.diagonal(gram) > 0) and bool(np.any(found.rows[0]))
         if not apart or np.linalg.eigvalsh(unit_diagonal(gram)[0])[0] < APART:
             found = with_known({**asked.known, **again})
     size = float(np.sqrt(np.mean(found.rows[0] ** 2))) or 1.0

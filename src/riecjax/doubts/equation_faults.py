@@ -14,9 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.doubts.causes import FEWEST, LOST, Causes
+from riecjax.doubts.causes import FEWEST, LOST, OF_NOISE, Causes
 from riecjax.doubts.columns import Asked, Doubt, folds_of
 from riecjax.doubts.delays import SMALLEST, Settled, Shifts, settled
+from riecjax.doubts.modes import Ringing, best_mode
 from riecjax.doubts.offered import longest_delay, plausible, sensors
 from riecjax.equations import expressions
 from riecjax.equations.model import Model
@@ -31,10 +32,12 @@ HALF = 0.5
 """Share of what is left that a delay's column leaves at most, for the delay to be undone."""
 VISIBLE = 0.003
 """Rms left beyond noise, over the target, from which a delay that changes is looked for."""
+RINGS = 0.3
+"""Share of the energy left beyond noise that a mode leaves at most: its shape is a rough one."""
 MOVES = 1.0
 """Standard errors by which a cause moves some parameter at the least."""
 NOTABLE = 0.02
-"""Rms that a drift leaves, over the target's, from which it matters whatever it moves."""
+"""Rms that is left, over the target's, from which a cause matters whatever it moves."""
 SLIGHT = 1e-3
 """Share of a drift that an offset beside it is at the least."""
 NEAR = 8
@@ -84,8 +87,8 @@ class Weighing:
         estimate: Estimate,
         lacked: Callable[[Model, Sequence[Record]], Sequence[Doubt]],
     ) -> "Weighing | None":
-        """Of an estimate; `None` where nothing may be a cause, of hidden elements, parameters of
-        each recording, windows drawn at random, and records too short for blocks to scatter."""
+        """Of an estimate; `None` of hidden elements, parameters of each recording, windows drawn
+        at random, and records too short for blocks to scatter."""
         criterion = estimate.criterion
         own = any(estimate.table[name].recording is not None for name in estimate.parameters)
         if model.has_hidden or own or criterion.all_windows is None or estimate.summary is None:
@@ -97,9 +100,9 @@ class Weighing:
         asked, sizes = Asked.of(model, estimate), plausible(doubts, records)
         # Noise is taken off those alone that may be a cause.
         rough = Causes(folds_of(asked, records, doubts, "plain"), doubts, sizes)
-        if not rough.is_promising:
-            return None
-        asked, near = asked._replace(base=rough.base), rough.nearest(NEAR)
+        asked, near = asked._replace(base=rough.base), []
+        if rough.is_promising:
+            near = rough.nearest(NEAR)
         folds = folds_of(asked, records, near)
         delays = {doubt.signals: [doubt] for doubt in rough.of("delay")}
         changing = {
@@ -129,8 +132,8 @@ class Weighing:
         drifting = [doubt for doubt in chosen if doubt.kind == "drift"]
         chosen = [doubt for doubt in chosen if not causes.is_zero_of(doubt, drifting)]
         if not chosen:
-            followed = self._followed(known)
-            return [followed] if followed is not None and self._matters(followed) else []
+            one = self._followed(known) or self._mode()
+            return [one] if one is not None and self._matters(one) else []
         made = (self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen)
         return [cause for cause in made if self._matters(cause)]
 
@@ -171,9 +174,16 @@ class Weighing:
         found = self._settled(doubt)
         return found if found is not None and abs(found.size) > found.reach else None
 
-    def _cause(self, doubt: Doubt, chosen: Sequence[Doubt], undone: Settled | None) -> Cause:
+    def _cause(
+        self,
+        doubt: Doubt,
+        chosen: Sequence[Doubt],
+        undone: Settled | None,
+        causes: Causes | None = None,
+    ) -> Cause:
         """One of the doubts that are chosen, with what it does."""
-        causes, folds = self.causes, self.causes.folds
+        causes = causes or self.causes
+        folds = causes.folds
         beside = [other for other in chosen if other is not doubt]
         drifts = doubt.kind == "drift"
         zeros = [one for one in causes.of("zero") if drifts and one.signals == doubt.signals]
@@ -219,6 +229,21 @@ class Weighing:
             )
         return min(best, key=lambda cause: cause.left, default=None)
 
+    def _mode(self) -> Cause | None:
+        """A mode on one of the bodies that explains what is left."""
+        causes = self.causes
+        if not causes.before > NOTABLE**2 * causes.folds.energy:
+            return None
+        mode = best_mode(self.asked, self.records)
+        if mode is None:
+            return None
+        folds = folds_of(mode.asked, self.records, [mode.doubt])
+        found = Causes(folds, [mode.doubt], {}, causes.trials)
+        rings = found.left([mode.doubt]) < max(RINGS * found.before, OF_NOISE * found.noise)
+        if not (rings and found.before > NOTABLE**2 * folds.energy and found.is_sure(mode.doubt)):
+            return None
+        return self._cause(mode.doubt, [mode.doubt], None, found)
+
     def _rms(self, energy: float) -> float:
         return float(np.sqrt(max(energy, 0.0) / size_of(self.causes.folds.energy)))
 
@@ -232,8 +257,9 @@ class Weighing:
         return found
 
     def _matters(self, cause: Cause) -> bool:
-        """Whether it moves some parameter by more than chance does, or most of a drift stays."""
-        if cause.doubt.kind == "drift" and cause.before > NOTABLE:
+        """Whether it moves some parameter by more than chance does; a term, or what leaves much,
+        matters in any case."""
+        if cause.doubt.term is not None or cause.before > NOTABLE:
             return True
         estimate = self.estimate
         errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors, float)))
@@ -386,8 +412,10 @@ def _of_zero(cause: Cause, model: Model, record: Record) -> _Said:
     zeros = [one.signals[0] for one in (doubt, *cause.same) if one.kind == "zero"]
     if doubt.term is not None:
         unit = next(iter(doubt.term.units.values()), "")
-        what = f"a constant of {size:.3g} {unit}".rstrip()
-        what = f"{what} is missing, that of a wrong zero or of a force that the model lacks"
+        amount = f"{size:.3g} {unit}".rstrip()
+        what = (
+            f"a constant is missing ({amount}), of a sensor's zero or of a force that is left out"
+        )
     else:
         amount = f"{size:.3g} {record.signal(zeros[0]).unit}".rstrip()
         what = f"{zeros[0]} reads {amount} more than the equation says"
@@ -407,11 +435,27 @@ def _of_zero(cause: Cause, model: Model, record: Record) -> _Said:
     return _Said("wrong_zero", what, f"{then}.", remedy, step)
 
 
+def _of_mode(equation: str, mode: Ringing, mass: float) -> _Said:
+    remedy = ("--add-mode", f"{mode.on}={mode.hertz:.3g}")
+    return _Said(
+        "unmodelled_mode",
+        f"{equation}: what the model leaves is the ringing of a mode on {mode.on} near "
+        f"{mode.hertz:.3g} Hz, of a mass of about {mass:.2g} and a damping ratio of "
+        f"{mode.damping:.2g}",
+        f"Find it (on the command line: {shlex.join(remedy)}; rx.HiddenMode('{mode.on}', "
+        f"{mode.hertz:.3g})).",
+        remedy,
+        f"Find the mode on {mode.on} that the model leaves out",
+    )
+
+
 def _of_size(cause: Cause, model: Model, record: Record) -> _Said:
     """A zero, a gain, a drift, or a term that the model lacks."""
     doubt, size = cause.doubt, cause.size
     if any(one.kind == "zero" for one in (doubt, *cause.same)):
         return _of_zero(cause, model, record)
+    if isinstance(doubt.state, Ringing):
+        return _of_mode(doubt.equation, doubt.state, size)
     if doubt.term is not None:
         unit = next(iter(doubt.term.units.values()), "")
         value = f"{doubt.name} = {size:.3g} {unit}".rstrip()
