@@ -344,5 +344,8 @@ def test_a_car_whose_engine_shakes_has_no_late_sensor(road):
     states = integrated(rate, (0.0,) * 7, ROADS[road], fine=4)
     signals = dict(zip(("x1", "x2", "x3", "x4"), states)) | {"F_t": 180_000.0 * states[0]}
     told = Told(rx.find_model("quarter-car"), recorded(signals))
-    assert {"--add-mode", "x4"} <= {*told.advised}, told
+    option, place = told.advised[:2]
+    signal, hertz = place.split("=")
+    assert (option, signal) == ("--add-mode", "x4"), told
+    assert float(hertz) == pytest.approx(np.sqrt(400_000 / 100) / (2 * np.pi), rel=0.05), told
     assert not {"--shift", "--unfilter"} & {*told.advised}, told

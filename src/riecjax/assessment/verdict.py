@@ -34,6 +34,12 @@ class Cause(NamedTuple):
     step: Step | None
 
     @property
+    def spoils(self) -> bool:
+        """Whether signals are not what sensors saw, of which all else may be a consequence."""
+        spoilt = any(finding.about.undo == "itself" for finding in self.findings)
+        return spoilt and self.share > TRUSTED
+
+    @property
     def voids(self) -> bool:
         """Whether it leaves nothing of an answer, so that it is to be seen to first."""
         return self.kind == "sensors" and self.share >= 1
@@ -55,9 +61,10 @@ def causes(
         first, step = findings[0], next_step(evidence, findings)
         phrase = first.about.said(first.signals, first.parameters)
         peaks = [r.peak for r in evidence.equation_residuals if r.peak is not None]
-        if first.code == "unmodelled_mode" and peaks:
-            frequency = max(peaks, key=lambda peak: peak.size).frequency
-            phrase = f"the model leaves out a mode near {frequency:.3g} Hz"
+        if first.code == "unmodelled_mode" and (first.remedy or peaks):
+            near = max(peaks, key=lambda peak: peak.size).frequency if peaks else 0.0
+            hertz = first.remedy[1].partition("=")[2] if first.remedy else f"{near:.3g}"
+            phrase = f"the model leaves out a mode near {hertz} Hz"
         elif first.about.of_size and _with_constant_part(evidence):
             phrase = CONSTANT
         # A longer record mends neither a good value nor what a common error widens.
@@ -66,7 +73,9 @@ def causes(
         ):
             step = None
         grouped.append(Cause(kind, phrase, tuple(findings), tuple(some), share, step))
-    return sorted(grouped, key=lambda c: (c.kind != "undetermined", not c.voids, -c.share))
+    return sorted(
+        grouped, key=lambda c: (c.kind != "undetermined", not c.voids, not c.spoils, -c.share)
+    )
 
 
 def _with_constant_part(evidence: Evidence) -> set[str]:

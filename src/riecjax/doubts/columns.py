@@ -22,7 +22,7 @@ tells them apart: so no error of an earlier stage is taken for a fault of a sens
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -60,12 +60,25 @@ Course = Callable[[Samples, Samples], Samples]
 size changes them."""
 
 
+class Element(Protocol):
+    """What a machine may have that no term says, by the column that it adds to an equation."""
+
+    @property
+    def order(self) -> int:
+        """Derivatives in front of the column."""
+        ...
+
+    def samples(self, record: Record) -> Samples:
+        """Of the column."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Doubt:
     """What may be amiss: a column.
 
     **Fields:** `name`, of its column; `kind`; the `signals` that it changes, all by one `course`;
-    or the `term` that an `equation` may lack, by its `meaning`, and a `state` that it reads.
+    or the `term` that an `equation` may lack, by its `meaning`; or an `element` of the machine.
     """
 
     name: str
@@ -75,7 +88,7 @@ class Doubt:
     term: AbstractTerm | None = None
     equation: str = ""
     meaning: str = ""
-    state: Any = None
+    element: "Element | None" = None
 
     def changes(self, samples: Samples, time: Samples) -> Samples:
         """How a fault of unit size changes a signal's samples."""
@@ -147,13 +160,14 @@ class _Columns:
     """How one equation's columns are made, with the terms that it may lack.
 
     **Fields:** the `plain` equation, and that of terms which it may have `lacked`; `doubts` of
-    sensors; `values` of the estimate, of known coefficients too; `criterion`; whose `noise` is
-    taken off.
+    sensors, and of `elements`; `values` of the estimate, of known coefficients too; `criterion`;
+    whose `noise` is taken off.
     """
 
     plain: Equation
     lacked: Equation | None
     doubts: Sequence[Doubt]
+    elements: Sequence[Doubt]
     values: Mapping[str, float]
     criterion: AbstractCriterion
     noise: str
@@ -163,6 +177,7 @@ class _Columns:
         criterion, smoothness = self.criterion, self.criterion.smoothness
         read = self.plain.signals_read(record, smoothness)
         sensors = [doubt for doubt in self.doubts if read & {*doubt.signals}]
+        elements = [doubt.element for doubt in self.elements if doubt.element is not None]
         touched = sorted({name for doubt in sensors for name in doubt.signals if name in read})
         slopes = {name: self._slope(record, name) for name in touched}
         time = np.asarray(record.elapsed, float)
@@ -184,6 +199,12 @@ class _Columns:
                 parts = [slopes[name] * doubt.changes(samples[name], time) for name in own]
                 found.append(np.sum(parts, axis=0)[:, None])
             return found
+
+        def ringing(of: Record) -> list[np.ndarray]:
+            found: Any = np.zeros((len(elements), *own.values[:, :1].shape))
+            for place, element in enumerate(elements):
+                found[place, element.order, 0] = element.samples(of)
+            return list(found)
 
         def integrated(parts: Sequence[np.ndarray]) -> Float[np.ndarray, "columns rows"]:
             values = np.concatenate(parts, axis=1)
@@ -209,8 +230,9 @@ class _Columns:
             return np.pad(made, [(0, len(rows) - len(made)), (0, 0)])
 
         lacked = () if self.lacked is None else self.lacked.parameters
-        names = (*self.plain.parameters, *lacked, *(doubt.name for doubt in sensors))
-        rows = integrated([*sampled, *changed(record)])
+        names = (*lacked, *(doubt.name for doubt in (*sensors, *self.elements)))
+        names = (*self.plain.parameters, *names)
+        rows = integrated([*sampled, *changed(record), *ringing(record)])
         noisy = any(record.noise.kernels.get(name) for name in read)
         return _Rows(names, rows, [noise(i) for i in range(PROBES[self.noise] if noisy else 0)])
 
@@ -285,8 +307,7 @@ def folds_of(
         if doubt.term is not None:
             terms.setdefault(doubt.equation, []).append(doubt.term)
     records = [each.part(0, min(each.sample_count, MOST_SAMPLES)) for each in records]
-    states = [doubt.state for doubt in doubts if doubt.state is not None]
-    records = [with_memories(record, [*model.memories, *states]) for record in records]
+    records = [with_memories(record, model.memories) for record in records]
     windows = windows_of(criterion, records)
     fold = np.concatenate([each.fold for each in windows])
     sensors = [doubt for doubt in doubts if doubt.course is not None]
@@ -296,12 +317,15 @@ def folds_of(
     for number, (equations, further) in enumerate(zip(model.stages, larger.stages, strict=True)):
         values_here = {n: values[n] for e in equations for n in e.parameters if n in values}
         parts = []
-        for equation, with_all in zip(equations, further, strict=True):
+        for name, equation, with_all in zip(
+            model.equation_names[number], equations, further, strict=True
+        ):
             if asked.stages and number not in asked.stages:
                 continue
             own = with_all.terms[len(equation.terms) :]
             lacked = equation.of_terms(*own) if own else None
-            columns = _Columns(equation, lacked, sensors, values, criterion, noise)
+            inside = [one for one in doubts if one.element is not None and one.equation == name]
+            columns = _Columns(equation, lacked, sensors, inside, values, criterion, noise)
             each = [columns.rows(*one) for one in zip(records, (w.drawn for w in windows))]
             parts.append(_joined(each))
         if parts:

@@ -305,6 +305,8 @@ def finding_of(cause: Cause, model: Model, records: Sequence[Record]) -> Finding
     names = cause.doubt.signals or tuple(n for one in cause.same for n in one.signals)
     if cause.doubt.term is not None and not names:
         names = expressions.signals_read(cause.doubt.term.of)
+    if isinstance(cause.doubt.element, Ringing):
+        names = (cause.doubt.element.on,)
     if cause.course.kind != "steady":
         said = _of_course(cause, record)
     elif cause.doubt.kind == "delay" and cause.undone is not None:
@@ -313,10 +315,10 @@ def finding_of(cause: Cause, model: Model, records: Sequence[Record]) -> Finding
         said = _of_size(cause, model, record)
     most = max(cause.moved, key=lambda name: abs(cause.moved[name]), default="")
     moves = f", and {most} changes by {100 * cause.moved[most]:+.2g} %" if most else ""
+    way = "taken off" if cause.doubt.signals else "let in"
     message = (
-        f"{said.what}. With that {'let in' if cause.doubt.term else 'taken off'}, the model leaves "
-        f"{100 * cause.left:.2g} % of the target beyond noise instead of {100 * cause.before:.2g} %"
-        f"{moves}."
+        f"{said.what}. With that {way}, the model leaves {100 * cause.left:.2g} % of the target "
+        f"beyond noise instead of {100 * cause.before:.2g} %{moves}."
     )
     remedy, step = said.remedy, said.step
     # The best term, and the best sensor.
@@ -454,8 +456,8 @@ def _of_size(cause: Cause, model: Model, record: Record) -> _Said:
     doubt, size = cause.doubt, cause.size
     if any(one.kind == "zero" for one in (doubt, *cause.same)):
         return _of_zero(cause, model, record)
-    if isinstance(doubt.state, Ringing):
-        return _of_mode(doubt.equation, doubt.state, size)
+    if isinstance(doubt.element, Ringing):
+        return _of_mode(doubt.equation, doubt.element, size)
     if doubt.term is not None:
         unit = next(iter(doubt.term.units.values()), "")
         value = f"{doubt.name} = {size:.3g} {unit}".rstrip()

@@ -5,9 +5,11 @@ own acceleration, which is a behind a filter of the second order:
 
     H(s) = (w^2 + 2 z w s) / (s^2 + 2 z w s + w^2)
 
-with the mode's angular frequency w and damping ratio z. So the column of a mode is that of the
-body's inertia, of the body's motion behind H, and its coefficient is the mode's mass: the element's
-best shape is found over w and z, first on a grid, then closer and closer around the best.
+with the mode's angular frequency w and damping ratio z. A model without the mode carries m with
+the body. What it leaves is the rest, m (H - 1) a: the column of a mode is that of the body's
+inertia, of its motion behind H - 1, and its coefficient is the mode's mass. So the body's own
+coefficient stays that of all that it carries. The best shape is found over w and z, first on a
+grid, then closer and closer around the best.
 """
 
 from collections.abc import Sequence
@@ -15,11 +17,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy.fft
 from jaxtyping import Float
 
 from riecjax.doubts.columns import Asked, Doubt, folds_of
 from riecjax.equations.hidden_elements import HiddenMode, accelerated
-from riecjax.equations.term import Term
 from riecjax.records.record import Record
 
 FREQUENCIES = 14
@@ -35,27 +37,29 @@ MOST_DAMPED = 0.9
 
 @dataclass(frozen=True)
 class Ringing:
-    """A state that recordings lack: a signal behind a mode's filter.
+    """How a mode moves against its body, from rest on.
 
-    **Fields:** `state`, its name as a signal; `of`, the signal; `on` which body; frequency in
-    `hertz`, and the ratio of `damping`.
+    **Fields:** `on` which body; the signal whose derivative of an `order` is the body's
+    acceleration, and the `sign` of its inertia in the equation; frequency in `hertz`, and the ratio
+    of `damping`.
     """
 
-    state: str
-    of: str
     on: str
+    signal: str
+    order: int
+    sign: float
     hertz: float
     damping: float
 
-    def course(self, record: Record) -> Float[np.ndarray, " n"]:
-        """The state along a record, from rest on."""
-        samples = np.asarray(record.arrays[self.of], float)
-        size = 2 * samples.size
+    def samples(self, record: Record) -> Float[np.ndarray, " n"]:
+        """Of the signal behind the mode's filter, less itself."""
+        samples = np.asarray(record.arrays[self.signal], float)
+        size = 2 * int(scipy.fft.next_fast_len(samples.size, real=True) or samples.size)
         s = 2j * np.pi * np.fft.rfftfreq(size, float(record.time_step))
         w = 2 * np.pi * self.hertz
-        turn = 2 * self.damping * w * s
+        against = -self.sign * s**2 / (s**2 + 2 * self.damping * w * s + w**2)
         there = np.fft.rfft(samples - samples.mean(), size)
-        return np.fft.irfft(there * (w**2 + turn) / (s**2 + turn + w**2), size)[: samples.size]
+        return np.fft.irfft(there * against)[: samples.size]
 
 
 class Mode(NamedTuple):
@@ -84,16 +88,26 @@ def best_mode(asked: Asked, records: Sequence[Record]) -> Mode | None:
             term = HiddenMode(on).term_in(equation)
             if term is None or term.signal is None:
                 continue
-            signals = (str(term.signal), *term.measured)
-            order = term.derivative - len(term.measured)
-            if order >= 0 and all(signals[-1] in record.arrays for record in records):
-                body = _Body(asked._replace(stages=[stage]), records, name, on, signals[-1], order)
-                found += [mode] if (mode := body.best()) is not None else []
+            # The lowest derivative that was recorded, whose order the test function takes off.
+            orders = range(term.derivative, -1, -1)
+            recorded = [
+                (signal, order)
+                for signal, order in zip((str(term.signal), *term.measured), orders)
+                if order <= asked.criterion.smoothness
+                and all(signal in record.arrays for record in records)
+            ]
+            if not recorded:
+                continue
+            first = asked._replace(stages=[stage])
+            sign = float(np.sign(float(np.asarray(term.factor))))
+            mode = _Body(first, records, name, on, *recorded[0], sign).best()
+            found += [] if mode is None else [mode]
     return max(found, key=lambda mode: mode.gained, default=None)
 
 
 class _Body(NamedTuple):
-    """A body whose inertia is the derivative of an `order` of a signal, in an equation."""
+    """A body whose inertia is the derivative of an `order` of a signal, with a sign, in an
+    equation."""
 
     asked: Asked
     records: Sequence[Record]
@@ -101,6 +115,7 @@ class _Body(NamedTuple):
     on: str
     signal: str
     order: int
+    sign: float
 
     def best(self) -> Mode | None:
         """The mode on it that gains most."""
@@ -122,9 +137,8 @@ class _Body(NamedTuple):
     def _best_of(self, hertz: np.ndarray, damping: np.ndarray) -> Mode | None:
         doubts = []
         for number, shape in enumerate(zip(hertz.tolist(), damping.tolist())):
-            state = Ringing(f"mode {number}", self.signal, self.on, *shape)
-            term = Term(state.state, state.state, derivative=self.order)
-            doubts.append(Doubt(state.state, "mode", (), None, term, self.equation, "", state))
+            mode = Ringing(self.on, self.signal, self.order, self.sign, *shape)
+            doubts.append(Doubt(f"mode {number}", "mode", equation=self.equation, element=mode))
         names = [doubt.name for doubt in doubts]
         folds = folds_of(self.asked, self.records, doubts, "")
         beside = folds.beside([n for n in folds.parameters if n not in names], names)
