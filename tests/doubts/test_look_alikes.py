@@ -198,6 +198,7 @@ DASHPOTS = {
 force is c / k late."""
 
 
+@pytest.mark.raises_finding("missing_term")
 @pytest.mark.parametrize("case", DASHPOTS)
 def test_a_dashpot_that_is_missing_is_no_delay(case):
     moves, mass, damping, noise = DASHPOTS[case]
@@ -233,7 +234,9 @@ def test_a_zero_is_told_where_a_spring_is_and_never_as_a_gain(signal):
     assert not told.trusted_in_error(TRUTH), told
 
 
-@pytest.mark.no_finding("late_signal", "low_passed", "wrong_gain", "hysteresis", "uneven_errors")
+@pytest.mark.no_finding(
+    "late_signal", "low_passed", "wrong_gain", "hysteresis", "uneven_errors", "missing_term"
+)
 @pytest.mark.parametrize("gain", [1.0, 1.3])
 def test_a_gain_of_the_force_leaves_nothing_and_is_not_told(gain):
     signals = axis()

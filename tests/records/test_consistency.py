@@ -1,6 +1,7 @@
 """Recorded derivatives against their signals; the truth is a sum of sines with its exact slope."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -110,3 +111,35 @@ def test_a_missing_signal():
     record = Record.from_samples({"x": TIME}, time_step=STEP)
     with pytest.raises(MissingSignalError):
         check_derivatives(record, [("x", "v")])
+
+
+@pytest.mark.raises_finding("late_signal")
+@pytest.mark.no_finding("not_its_derivative")
+@pytest.mark.parametrize(("taps", "seconds"), [(30, 1.5), (60, 1.5), (60, 3.0)])
+def test_a_mean_of_a_short_step_is_late_and_not_of_another_size(taps, seconds):
+    """The velocity of a step with a time constant of 80 ms, as a mean over the last `taps` ms."""
+    time = np.arange(0, seconds, 1e-3)
+    v = -2.5 * (1 - np.exp(-time / 0.08))
+    x = 1.0 - 2.5 * (time - 0.08 * (1 - np.exp(-time / 0.08)))
+    mean = np.convolve(v, np.ones(taps) / taps)[: v.size]
+    rng, every = np.random.default_rng(taps), slice(None, None, 25)
+    noisy = mean[every] + 0.005 * rng.standard_normal(v[every].size)
+    record = Record.from_samples({"x": x[every], "v": noisy}, time_step=0.025)
+    late = [f for f in check_derivatives(record, [("x", "v")]) if f.code == "late_signal"]
+    for finding in late:
+        option, value = finding.remedy
+        assert option == "--shift"
+        delay = 0.5e-3 * (taps - 1)
+        assert float(value.removeprefix("v=")) == pytest.approx(delay, abs=0.25 * 0.025)
+    assert not found({"x": x[every], "v": noisy}, 0.025)
+
+
+def test_the_recording_of_a_step_whose_velocity_is_a_mean():
+    folder = Path(__file__).parents[3] / "shared" / "cases" / "late_velocity_step"
+    if not (file := folder / "lag_step_down.csv").exists():
+        pytest.skip("the recording stands beside the project, and is not there")
+    rows = np.genfromtxt(file, delimiter=",", skip_header=1)
+    record = Record.from_samples({"x": rows[:, 2], "v": rows[:, 3]}, time_step=0.02)
+    (finding,) = check_derivatives(record, [("x", "v")])
+    assert finding.code == "late_signal"
+    assert float(finding.remedy[1].removeprefix("v=")) == pytest.approx(0.0195, abs=0.002)

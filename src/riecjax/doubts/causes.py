@@ -20,6 +20,7 @@ import numpy as np
 from riecjax.doubts.columns import Doubt
 from riecjax.equations.expressions import constant
 from riecjax.folds import Beside, Folds, Told
+from riecjax.leaves import size_of
 from riecjax.linear_algebra import unit_diagonal
 
 LEVEL = 1e-3
@@ -107,6 +108,10 @@ class Causes:
     def settle(self, doubt: Doubt, left: float) -> None:
         """Say what is left once a doubt is undone, which its column tells to first order alone."""
         self._left[frozenset([doubt.name])] = left
+
+    def rms(self, left: float) -> float:
+        """An energy that is left, as rms over the target's."""
+        return float(np.sqrt(max(left, 0.0) / size_of(self.folds.energy)))
 
     def is_little(self, left: float) -> bool:
         """Whether an energy that is left is hardly more than noise."""

@@ -23,7 +23,6 @@ from riecjax.equations import expressions
 from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, line_taken_off, option_for
-from riecjax.leaves import size_of
 from riecjax.records.faults.derivative_pairs import Course
 from riecjax.records.record import Record
 from riecjax.summaries.task import signals_read
@@ -194,8 +193,8 @@ class Weighing:
         return Cause(
             doubt,
             after[doubt.name] if undone is None else undone.size,
-            self._rms(causes.left(beside)),
-            self._rms(causes.left(chosen)),
+            causes.rms(causes.left(beside)),
+            causes.rms(causes.left(chosen)),
             self._moved(
                 after if undone is None else undone.values,
                 dict(zip(without, folds.fitted(without).tolist())),
@@ -223,10 +222,8 @@ class Weighing:
                 continue
             unmoved = dict(zip(causes.base, causes.folds.fitted(causes.base).tolist()))
             moved = self._moved(followed.values, unmoved)
-            left = self._rms(followed.left * energy)
-            best.append(
-                Cause(doubt, 0.0, self._rms(causes.before), left, moved, course=followed.course)
-            )
+            before, left = causes.rms(causes.before), causes.rms(followed.left * energy)
+            best.append(Cause(doubt, 0.0, before, left, moved, course=followed.course))
         return min(best, key=lambda cause: cause.left, default=None)
 
     def _mode(self) -> Cause | None:
@@ -243,9 +240,6 @@ class Weighing:
         if not (rings and found.before > NOTABLE**2 * folds.energy and found.is_sure(mode.doubt)):
             return None
         return self._cause(mode.doubt, [mode.doubt], None, found)
-
-    def _rms(self, energy: float) -> float:
-        return float(np.sqrt(max(energy, 0.0) / size_of(self.causes.folds.energy)))
 
     def _moved(self, after: Mapping[str, float], before: Mapping[str, float]) -> dict[str, float]:
         """Shares by which parameters change, each in the stage that finds it."""

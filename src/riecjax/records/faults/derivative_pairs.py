@@ -980,7 +980,23 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
             f"{derivative} correlate by {correlation:.2f} at best)"
         )
         doubt = 1.0
-    elif gain < 0 or gain * correlation > 1 + GROSS or gain / correlation < 1 - GROSS:
+    elif _is_gross(correlation, gain):
+        # A step takes place in a few samples, in which a late signal has another size.
+        if (late := _late(x, dx, float(record.time_step))) is not None:
+            seconds, fits = late
+            remedy = option_for(
+                "--shift", [derivative if seconds > 0 else signal], f"{abs(seconds):.3g}"
+            )
+            return Finding(
+                "late_signal",
+                f"{derivative} comes about {1e3 * abs(seconds):.3g} ms "
+                f"{'late' if seconds > 0 else 'early'} against {signal}: in time, {signal} changes "
+                f"by {fits:.4g} times the integral of {derivative}, as they are by {gain:.4g}. "
+                f"{shlex.join(remedy)} brings the later one forward.",
+                (derivative, signal) if seconds > 0 else (signal, derivative),
+                doubt=min(max(gain**2, gain**-2) - 1, 1.0),
+                remedy=remedy,
+            )
         what = (
             f"does not fit the size, sign or time of {signal}: {signal} changes by "
             f"{gain:.4g} times the integral of {derivative}"
@@ -1016,6 +1032,34 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
         remedy=remedy,
         step="Convert " + " from ".join(units[0].split("=")) if remedy else "",
     )
+
+
+def _is_gross(correlation: float, gain: float) -> bool:
+    """Whether noise explains no gain of 1."""
+    return gain < 0 or gain * correlation > 1 + GROSS or gain / correlation < 1 - GROSS
+
+
+def _late(values: np.ndarray, rates: np.ndarray, step: float) -> tuple[float, float] | None:
+    """Seconds that rates come late, and their gain, where it is one once they are in time.
+
+    Rates that are tau late make increments of the values their integral, times the gain, and tau
+    times their own increments: a column of its own, as long as means are not taken off.
+    """
+    known = ~(np.isnan(values) | np.isnan(rates))
+    first, last = (int(end) for end in np.flatnonzero(known)[[0, -1]])
+    if not known[first : last + 1].all():
+        return None
+    values, rates = values[first : last + 1], rates[first : last + 1]
+    area = np.concatenate([[0.0], np.cumsum(0.5 * step * (rates[1:] + rates[:-1]))])
+    lag = max(values.size // LONGEST_SHARE, SHORTEST)
+    increments, integrals, turned = (one[lag:] - one[:-lag] for one in (values, area, rates))
+    columns = np.column_stack([integrals, turned])
+    (gain, turn), *_ = np.linalg.lstsq(columns, increments)
+    left = increments - columns @ np.array([gain, turn])
+    explained = float(left @ left) < (1 - ALIKE**2) * float(increments @ increments)
+    if not explained or abs(gain - 1) > GROSS or abs(turn / gain) > MOST_LATE * step:
+        return None
+    return float(turn / gain), float(gain)
 
 
 def is_motion(record: Record, signal: str, others: Iterable[str]) -> bool:
@@ -1208,6 +1252,8 @@ may be motion that no difference is of the order to take off."""
 CONSTANT = 0.3
 """Share of its taps that a filter's sum may reach: a derivative of what is constant is zero. What
 copies the position, or smooths it, is no derivative, and to take it for one would hide that."""
+MOST_LATE = 6
+"""Samples to either side by which a gross disagreement may be a delay."""
 ROUNDS, FAR = 3, 10.0
 """Fits, each without rows that the one before left so many times its median."""
 SHARPENED = 2
