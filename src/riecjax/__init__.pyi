@@ -1,5 +1,6 @@
 from . import criteria as criteria
 from . import discovery as discovery
+from . import doubts as doubts
 from . import equations as equations
 from . import estimation as estimation
 from . import fleets as fleets
