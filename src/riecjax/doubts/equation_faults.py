@@ -101,7 +101,8 @@ class Weighing:
         rough = Causes(folds_of(asked, records, doubts, "plain"), doubts, sizes)
         asked, near = asked._replace(base=rough.base), []
         if rough.is_promising:
-            near = rough.nearest(NEAR)
+            fixed = asked.resting_on_earlier
+            near = [doubt for doubt in rough.nearest(NEAR) if doubt.equation not in fixed]
         folds = folds_of(asked, records, near)
         delays = {doubt.signals: [doubt] for doubt in rough.of("delay")}
         changing = {
