@@ -99,10 +99,12 @@ class Weighing:
         asked, sizes = Asked.of(model, estimate), plausible(doubts, records)
         # Noise is taken off those alone that may be a cause.
         rough = Causes(folds_of(asked, records, doubts, "plain"), doubts, sizes)
-        asked, near = asked._replace(base=rough.base), []
-        if rough.is_promising:
-            fixed = asked.resting_on_earlier
-            near = [doubt for doubt in rough.nearest(NEAR) if doubt.equation not in fixed]
+        asked = asked._replace(base=rough.base)
+        if not rough.is_promising:
+            rough.offered = []
+            return cls(model, records, estimate, asked, rough, ())
+        fixed = asked.resting_on_earlier
+        near = [doubt for doubt in rough.nearest(NEAR) if doubt.equation not in fixed]
         folds = folds_of(asked, records, near)
         delays = {doubt.signals: [doubt] for doubt in rough.of("delay")}
         changing = {
@@ -437,7 +439,7 @@ def _of_mode(equation: str, mode: Ringing, mass: float) -> _Said:
     return _Said(
         "unmodelled_mode",
         f"{equation}: what the model leaves is the ringing of a mode on {mode.on} near "
-        f"{mode.hertz:.3g} Hz, of a mass of about {mass:.2g} and a damping ratio of "
+        f"{mode.hertz:.3g} Hz, of a mass of about {mass:.3g} and a damping ratio of "
         f"{mode.damping:.2g}",
         f"Find it (on the command line: {shlex.join(remedy)}; rx.HiddenMode('{mode.on}', "
         f"{mode.hertz:.3g})).",

@@ -25,8 +25,9 @@ from riecjax.equations.hidden_elements import HiddenMode, accelerated
 from riecjax.records.record import Record
 
 FREQUENCIES = 14
-"""From half of the frequency that the longest windows are a period of, to half of what samples
-tell, evenly on a logarithmic scale."""
+"""From half of the frequency that the longest windows are a period of, to that of the shortest,
+over which what is faster averages out, or half of what samples tell; evenly on a logarithmic scale.
+"""
 DAMPING = (0.02, 0.1, 0.4)
 """Damping ratios that are tried first."""
 CLOSER = 6
@@ -121,7 +122,9 @@ class _Body(NamedTuple):
         """The mode on it that gains most."""
         windows, step = self.asked.criterion.windows, float(self.records[0].time_step)
         assert windows is not None
-        grid = np.geomspace(0.5 / float(windows.beta), 0.25 / step, FREQUENCIES)
+        slowest = 0.5 / float(windows.beta)
+        fastest = max(min(1 / float(windows.alpha), 0.25 / step), 2 * slowest)
+        grid = np.geomspace(slowest, fastest, FREQUENCIES)
         shapes = np.array([(hertz, damping) for hertz in grid for damping in DAMPING]).T
         best = self._best_of(*shapes)
         apart = np.log([grid[1] / grid[0], DAMPING[1] / DAMPING[0]])

@@ -20,8 +20,8 @@ LONGEST_SHARE = 20
 """It is at most this part of a record."""
 REACH = 3.0
 """Ranges of a signal, its mean included, that its zero is off by at the most."""
-GAIN = 10.0
-"""The most that a gain is off by."""
+GAIN = 0.5
+"""The most that a gain is off by: other units and signs are seen before."""
 JUMPS = 7
 """Places along a record at which rows may have been lost."""
 
