@@ -32,6 +32,8 @@ DAMPING = (0.02, 0.1, 0.4)
 """Damping ratios that are tried first."""
 CLOSER = 6
 """Times that the steps between shapes are halved."""
+AT_END = 1.1
+"""Ratio to an end of the band, within which a frequency lies beyond it."""
 MOST_DAMPED = 0.9
 """Damping ratio of what still rings."""
 
@@ -134,8 +136,11 @@ class _Body(NamedTuple):
                 break
             near = np.exp(around * closer * apart[:, None])
             hertz, damping = np.array([[best.hertz], [best.damping]]) * near
+            hertz = np.clip(hertz, slowest, fastest)
             best = self._best_of(hertz, np.minimum(damping, MOST_DAMPED))
-        return best
+        # At an end of the band it is something slower or faster.
+        inside = best is not None and AT_END * slowest < best.hertz < fastest / AT_END
+        return best if inside else None
 
     def _best_of(self, hertz: np.ndarray, damping: np.ndarray) -> Mode | None:
         doubts = []
