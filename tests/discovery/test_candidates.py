@@ -89,3 +89,31 @@ def test_widths_lie_within_the_motion_and_grow_and_closer_ones_keep_that_which_t
 )
 def test_units_of_coefficients(unit, of, power, found):
     assert per(unit, of, power) == found
+
+
+def swinging() -> rx.Record:
+    """m x'' + k x = F, of which the position alone is recorded."""
+    rng, times = np.random.default_rng(4), np.arange(3000) * 0.01
+    rates, phases = 2 * np.pi * rng.uniform(0.3, 4, (20, 1)), rng.uniform(0, 6, (20, 1))
+    x, a = (((-(rates**2)) ** n * np.sin(rates * times + phases)).sum(0) for n in (0, 1))
+    return rx.Record.from_samples({"x": x, "F": 2 * a + 30 * x}, time_step=0.01)
+
+
+def body(*measured: str) -> rx.Equation:
+    inertia = rx.Term("m", "x", derivative=2, measured=measured, unit="kg")
+    return rx.Equation(inertia, -rx.Term(1.0, "F"), name="body", unit="N")
+
+
+@pytest.mark.raises_finding("not_offered")
+def test_kinds_that_need_a_velocity_nobody_declares_are_named():
+    found = rx.discover(body(), swinging(), resamples=0, intervals=rx.Naive())
+    (finding,) = [one for one in found.findings if one.code == "not_offered"]
+    assert finding.signals == ("x",)
+    assert "neither friction nor hysteresis" in finding.message
+    assert "--differentiate dx=x" in finding.message
+
+
+@pytest.mark.no_finding("not_offered")
+def test_a_velocity_that_is_declared_and_not_recorded_is_formed():
+    found = rx.discover(body("v"), swinging(), resamples=0, intervals=rx.Naive())
+    assert "stiffness" in found.names

@@ -22,6 +22,7 @@ from riecjax.equations.model import Model
 from riecjax.equations.motions import Motion, motions_and_unread, per
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError, RiecjaxError, require
+from riecjax.findings import Finding
 from riecjax.models.catalogue import object_of_file
 from riecjax.records.record import Record
 
@@ -244,6 +245,32 @@ def default_candidates(model: Model, records: Sequence[Record]) -> list[AnyCandi
         else candidate
         for candidate in found
     ]
+
+
+def not_offered(model: Model, records: Sequence[Record]) -> list[Finding]:
+    """`not_offered` of kinds of terms that no candidate has, since no signal is known to read."""
+    units = {signal.name: signal.unit for signal in model.signals}
+    units |= {name: unit for record in records for name, unit in record.units if unit}
+    recorded = set.intersection(*({*record.arrays} for record in records))
+    found = []
+    names = (name for stage in model.equation_names for name in stage)
+    for name, equation in zip(names, model.equations, strict=True):
+        motions, _ = motions_and_unread(equation, records[0], recorded, units, ())
+        for x in (motion.position for motion in motions if not motion.velocity):
+            message = (
+                f"{name}: no velocity of {x} is declared that is recorded or can be formed, so "
+                f"that neither friction nor hysteresis is offered. Name it in the model, as in "
+                f"rx.Term('c', '{x}', derivative=1, measured=('d{x}',)), and record it or derive "
+                f"it (on the command line: --differentiate d{x}={x})."
+            )
+            found.append(Finding("not_offered", message, (x,)))
+        if not motions:
+            message = (
+                f"{name}: no motion is known of its signals, so that neither friction nor springs "
+                f"are offered. Declare derivatives in its terms, or units of its signals."
+            )
+            found.append(Finding("not_offered", message, tuple(sorted(equation.signals))))
+    return found
 
 
 def of_term(

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for, with_velocities
-from riecjax.discovery.candidate import Candidate, as_candidates, default_candidates, members
+from riecjax.discovery.candidate import (
+    Candidate,
+    as_candidates,
+    default_candidates,
+    members,
+    not_offered,
+)
 from riecjax.discovery.search import Question, Rejected, Step, Sums, again, extended, without_twins
 from riecjax.doubts.equation_faults import Cause, demanded, finding_of
 from riecjax.equations.equation import Equation
@@ -187,6 +193,8 @@ def discover(model: Equation | Model, records: "Records", settings: DiscoverSett
     if settings.candidates is not None:  # these, and nothing else
         return _found(asked, whole)[0]
     answer, in_time = _in_time(asked, whole)
+    unoffered = not_offered(model, [recording.record for recording in whole])
+    answer = replace(answer, findings=(*answer.findings, *unoffered))
     if not answer.leaves_more or any(finding.about.disorder for finding in answer.amiss):
         return answer
     return _with_mode(asked, answer, in_time)

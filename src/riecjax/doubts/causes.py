@@ -147,7 +147,11 @@ class Causes:
         best: list[Doubt] = []
         for _ in range(2):
             gained = self._beside(best).gained
-            sure = [doubt for doubt in others if doubt not in near and self.is_sure(doubt, best)]
+            sure = [
+                doubt
+                for doubt in others
+                if doubt not in near and (self.is_sure(doubt, best) or self._zero_hiding(doubt))
+            ]
             sure.sort(key=lambda doubt: -gained[self.every.index(doubt)])
             near += sure[:most]
             best = sure[:1]
@@ -179,7 +183,15 @@ class Causes:
             chosen.append(min(self._alike(best, chosen, among), key=_simplicity))
             if self.is_little(self.left(chosen)):
                 return self._pruned(chosen)
-        return []
+        # What drifts hides its zero, and is hidden by it.
+        pairs = [[zero, one] for one in among for zero in self._zero_hiding(one)]
+        best = min(pairs, key=self.left, default=[])
+        return self._pruned(best) if best and self.is_little(self.left(best)) else []
+
+    def _zero_hiding(self, doubt: Doubt) -> list[Doubt]:
+        """The zero of a signal beside which it surely drifts, if that is doubted."""
+        zeros = self.of("zero") if doubt.kind == "drift" else []
+        return [one for one in zeros if one.signals == doubt.signals and self.is_sure(doubt, [one])]
 
     def _alike(self, best: Doubt, beside: Sequence[Doubt], among: Sequence[Doubt]) -> list[Doubt]:
         """The best doubt, those that say the same, and of those that leave hardly more: terms,
