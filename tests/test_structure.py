@@ -17,12 +17,12 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 48_750,
+    "src lines": 50_050,
     "src modules": 205,
-    "src statements": 23_300,
-    "src literals": 1_565,
+    "src statements": 24_050,
+    "src literals": 1_585,
     "lines of commands and settings": 2_300,
-    "tests lines": 26_800,
+    "tests lines": 27_050,
     "benchmarks lines": 8_680,
     "README lines": 150,
 }
@@ -33,6 +33,7 @@ MOST_IMPORTS = 12
 MANY_PARAMETERS: dict[str, int] = {}
 MANY_IMPORTS = {
     "riecjax.assessment.assess": 26,
+    "riecjax.assessment.doubt": 19,
     "riecjax.assessment.output_error_search": 14,
     "riecjax.discovery.discover": 22,
     "riecjax.estimation.check": 20,

@@ -6,8 +6,7 @@ from test_delays import AXIS, STEP, recorded
 
 import riecjax as rx
 from riecjax.doubts.causes import Causes
-from riecjax.doubts.columns import Asked, Doubt, folds_of
-from riecjax.doubts.offered import sensors
+from riecjax.doubts.columns import Asked, Doubt, folds_of, sensors
 from riecjax.equations.model import Model, as_model
 from riecjax.folds import Folds
 

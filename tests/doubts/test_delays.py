@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from nightly import nightly
-from riecjax.doubts.columns import Asked
+from riecjax.doubts.columns import Asked, delay_of
 from riecjax.doubts.delays import Settled, settled
 from riecjax.doubts.equation_faults import demanded, finding_of
-from riecjax.doubts.offered import delay_of
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import as_model, staged
 from riecjax.equations.term import Term

@@ -8,7 +8,7 @@ import scipy.signal
 from test_delays import AXIS
 
 import riecjax as rx
-from riecjax.assessment.causes import causes_found
+from riecjax.assessment.doubt import causes_found
 from riecjax.estimation.check import Check
 from riecjax.estimation.identify import identify
 from riecjax.records.derived import derived

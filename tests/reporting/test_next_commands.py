@@ -3,8 +3,7 @@
 import click
 import pytest
 
-from riecjax.assessment.next_steps import Step
-from riecjax.assessment.verdict import Cause
+from riecjax.assessment.verdict import Cause, Step
 from riecjax.cli.command import Given
 from riecjax.cli.identify import command
 from riecjax.reporting.answer import next_steps

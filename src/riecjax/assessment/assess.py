@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from jaxtyping import Array, Key
 
-from riecjax.assessment.causes import causes_found, with_doubts
-from riecjax.assessment.doubt import Evidence
+from riecjax.assessment.doubt import Evidence, causes_found, with_doubts
 from riecjax.assessment.refining import (
     Problem,
     Refinement,

@@ -23,8 +23,7 @@ from jaxtyping import Float
 
 from riecjax import tails
 from riecjax.doubts.causes import CLEARER, LEVEL, OF_NOISE
-from riecjax.doubts.columns import Asked, Doubt, folds_of
-from riecjax.doubts.offered import longest_delay
+from riecjax.doubts.columns import Asked, Doubt, folds_of, longest_delay
 from riecjax.errors import DataError
 from riecjax.folds import Folds, solved
 from riecjax.records.faults.derivative_pairs import Course, changing

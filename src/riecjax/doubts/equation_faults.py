@@ -15,10 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.doubts.causes import FEWEST, LOST, OF_NOISE, Causes
-from riecjax.doubts.columns import Asked, Doubt, folds_of
+from riecjax.doubts.columns import Asked, Doubt, folds_of, longest_delay, plausible, sensors
 from riecjax.doubts.delays import SMALLEST, Settled, Shifts, settled
 from riecjax.doubts.modes import Ringing, best_mode
-from riecjax.doubts.offered import longest_delay, plausible, sensors
 from riecjax.equations import expressions
 from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate

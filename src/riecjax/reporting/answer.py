@@ -20,7 +20,7 @@ import numpy as np
 from msgspec import UNSET, UnsetType
 
 from riecjax.assessment.assess import Assessment
-from riecjax.assessment.next_steps import Step
+from riecjax.assessment.verdict import Step
 from riecjax.errors import ModelError, printable
 from riecjax.estimation.estimate import Estimate, intervals_entry, parameter_entries
 from riecjax.findings import Finding

@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import UNSET
 from rich.console import Console
 
-from riecjax.assessment.next_steps import joined
+from riecjax.assessment.verdict import joined
 from riecjax.discovery import Discovery, Step
 from riecjax.equations.hidden_elements import HiddenMode, accelerated
 from riecjax.findings import option_for

@@ -8,8 +8,7 @@ import numpy as np
 
 from riecjax.arrays import are_traced, hosted
 from riecjax.assessment.assess import Assessment
-from riecjax.assessment.next_steps import Step
-from riecjax.assessment.verdict import Verdict, percent
+from riecjax.assessment.verdict import Step, Verdict, percent
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import OWN, Model
 from riecjax.estimation import ModeEvidence
