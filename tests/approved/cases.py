@@ -282,16 +282,11 @@ BESIDE: dict[str, dict[str, str]] = {
     },
 }
 """By the folder beside the project; measured ones are slow."""
-ONE_WAY = KnownWrong(
-    "B is 6.0e-5, or not good: a constant is missing", lambda k: near(k, B=6e-5) or not good(k, "B")
-)
 KNOWN_WRONG = {
     "derived-input": KnownWrong(
         "m 120, f0 9, f2 0.25, or that the shift reaches nothing",
         lambda k: near(k, m=120.0, f0=9.0, f2=0.25) and not says(k, "the model does not use it"),
     ),
-    "one-way": ONE_WAY,
-    "one-way-many": ONE_WAY,
     "lever-arm": KnownWrong(
         "Cf 80000 and Cr 95000, or neither is good",
         lambda k: near(k, Cf=80e3, Cr=95e3) or not good(k, "Cf", "Cr"),
@@ -299,10 +294,6 @@ KNOWN_WRONG = {
     "hammer-pulses": KnownWrong(
         "m 2, k 3000, or neither is good: pulses are too short for the sampling",
         lambda k: near(k, m=2.0, k=3000.0) or not good(k, "m", "k"),
-    ),
-    "late-velocity-step": KnownWrong(
-        "the velocity is late; position changes by 1.018 times its integral",
-        lambda k: not says(k, r"changes by 0\.7"),
     ),
 }
 
