@@ -215,6 +215,7 @@ CODES: dict[str, FindingClass] = {
     "band_snapped": _computation("windows of a neighbouring band were taken"),
     "residuals_not_tested": _computation("what the model leaves was not tested"),
     "test_failed": _computation("a test of your own failed"),
+    "not_offered": _computation("some kinds of terms were not offered"),
     "not_validated": _computation("it was not validated"),
     "validated_on_fitted": _computation("it was validated on what it was fitted to"),
     "simulation_lost": _reproduction("a simulation was lost"),

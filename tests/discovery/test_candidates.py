@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.discovery.candidate import Shaped, default_candidates
+from riecjax.discovery.candidate import Shaped, default_candidates, not_offered
 from riecjax.equations.motions import per
 
 RNG = np.random.default_rng(0)
@@ -50,6 +50,40 @@ def test_a_mass_may_lack_friction_springs_and_an_offset_in_the_units_of_its_iner
         "offset": "N",
         "drift": "N/s",
     }
+
+
+def told(model: rx.Equation | rx.Model, record: rx.Record) -> list[tuple[str, ...]]:
+    found = not_offered(rx.equations.as_model(model), [record])
+    assert all(one.code == "not_offered" for one in found)
+    return [(*one.signals, one.message) for one in found]
+
+
+@pytest.mark.raises_finding("not_offered")
+def test_what_has_no_signal_is_said_and_how_to_name_one():
+    nameless = rx.Equation(rx.Term("m", "x", derivative=2, unit="kg"), -rx.Term(1.0, "u"), unit="N")
+    names = {*units_of(candidates(nameless, "x", "dx", "u"))}
+    assert not names & {"coulomb", "dahl", "stribeck", "product"}
+    ((signal, message),) = told(nameless, record("x", "u"))
+    assert signal == "x"
+    assert "measured=('dx',)" in message
+    # By the name that the recording has for it.
+    x = np.sin(0.02 * np.arange(500))
+    speed = rx.Record.from_samples({"x": x, "speed": np.gradient(x), "u": x**2}, time_step=0.01)
+    ((_, message),) = told(nameless, speed)
+    assert "measured=('speed',)" in message
+    rotor = rx.Equation(rx.Term("J", "w", derivative=1, unit="kg m^2"), -rx.Term(1.0, "T"))
+    assert "stiffness" not in units_of(candidates(rotor, "w", "T"))
+    ((signal, message),) = told(rotor, record("w", "T"))
+    assert signal == "w"
+    assert "springs" in message
+
+
+@pytest.mark.no_finding("not_offered")
+@pytest.mark.parametrize("model", ["mass", "quarter-car", "emps"])
+def test_of_what_can_all_be_offered_nothing_is_said(model):
+    model = rx.equations.as_model(MASS) if model == "mass" else rx.find_model(model)
+    names = {*(signal.name for signal in model.signals), "x", "dx", "u"}
+    assert told(model, record(*names)) == []
 
 
 def test_of_several_motions_candidates_carry_the_signals_name_and_of_several_equations_theirs():
