@@ -202,8 +202,8 @@ def default_candidates(model: Model, records: Sequence[Record]) -> list[AnyCandi
 
     **Arguments:** `records`, which say what is recorded, in which units, and how far signals reach.
     """
-    units, found = _units(model, records), list[AnyCandidate]()
-    for name, equation, motions, unread in _motions(model, records):
+    found: list[AnyCandidate] = []
+    for name, equation, motions, unread, units in _motions(model, records):
         found += _of_unread(unread, motions, equation.unit, units, name)
         for motion in motions:
             after = f"_{motion.name}" if len(motions) > 1 else ""
@@ -228,7 +228,7 @@ def default_candidates(model: Model, records: Sequence[Record]) -> list[AnyCandi
 def not_offered(model: Model, records: Sequence[Record]) -> list[Finding]:
     """Which of the usual kinds of candidates a model's motions have no signal for, and why."""
     found: dict[str, Finding] = {}
-    motions = [(m, equation) for _, equation, those, _ in _motions(model, records) for m in those]
+    motions = [(m, equation) for _, equation, those, *_ in _motions(model, records) for m in those]
     for motion, equation in motions:
         x, v = motion.position, motion.velocity
         if x in accelerated(equation) and not v:
@@ -252,16 +252,13 @@ def not_offered(model: Model, records: Sequence[Record]) -> list[Finding]:
     return list(found.values())
 
 
-def _units(model: Model, records: Sequence[Record]) -> dict[str, str]:
-    """Of signals, those of recordings first."""
-    given = (item for record in records for item in dict(record.units).items() if item[1])
-    return {signal.name: signal.unit for signal in model.signals} | dict(given)
-
-
 def _motions(
     model: Model, records: Sequence[Record]
-) -> Iterator[tuple[str, Equation, list[Motion], list[str]]]:
-    """The name of each equation, its motions, and signals that no equation reads."""
+) -> Iterator[tuple[str, Equation, list[Motion], list[str], dict[str, str]]]:
+    """The name of each equation, it, its motions, signals that none reads, and units of all."""
+    units = {signal.name: signal.unit for signal in model.signals}
+    for record in records:
+        units |= {name: unit for name, unit in dict(record.units).items() if unit}
     recorded = set.intersection(*({*record.arrays} for record in records))
     # Signals that are recorded, and that no equation reads or knows as a derivative.
     signals = records[0].signals
@@ -272,9 +269,9 @@ def _motions(
     known |= {*signals.read}
     unread = [name for name in records[0].arrays if name in recorded and name not in known]
     names = (name for stage in model.equation_names for name in stage)
-    units = _units(model, records)
     for name, equation in zip(names, model.equations, strict=True):
-        yield name, equation, *motions_and_unread(equation, records[0], recorded, units, unread)
+        motions, others = motions_and_unread(equation, records[0], recorded, units, unread)
+        yield name, equation, motions, others, units
 
 
 def of_term(

@@ -16,13 +16,9 @@ data, so that the usual interval of what stayed is too narrow, and says nothing 
 chosen. Drawing folds with replacement and searching again lets the choice vary as it would on other
 recordings (Efron, 2014); a parameter's variance over these searches includes that of the choice.
 
-Sums of a model and of all that it may lack, summed anew as widths come closer.
-
 A law with a width stands in the sums for each of a few widths. Once one of them is chosen, they are
 moved together around it, beside what else was chosen, until neighbours differ by a few parts in a
 thousand. Widths are arrays, so that no sum is compiled anew.
-
-A model with terms that it may lack.
 """
 
 import itertools
@@ -91,8 +87,7 @@ class Search:
     Columns of a candidate enter together. Of a law with a width a structure takes one.
 
     **Fields:** `folds`; names of the columns that are `kept`; `every` candidate; `least`, share of
-    what is unexplained that a term must make up for; `smallest`, share of the whole; `trials`, how
-    many candidates there were to choose from, where these are some of them.
+    what is unexplained that a term must make up for; `smallest`, share of the whole.
     """
 
     folds: Folds
@@ -100,27 +95,23 @@ class Search:
     every: Sequence[Candidate]
     least: float = SHARE
     smallest: float = LEAST
-    trials: int | None = None
 
     def __post_init__(self):
         self._alone = self.folds.left(self.kept)
         self._chances: dict[tuple[str, ...], dict[str, float]] = {}
-        self.offers = list(self.every)
-        self._forget()
+        self._offer(self.every)
         # What repeats the columns that are kept cannot be told apart from these.
         apart = np.isfinite(self.beside([[]])[0].motion[:-1, 0])
-        self.offers = list(itertools.compress(self.every, apart))
-        self._forget()
+        self._offer(list(itertools.compress(self.every, apart)))
 
-    def _forget(self):
-        """Places of the offers' columns, and none more, filled up with that of the target."""
-        places = [self.folds.columns(offer.columns) for offer in self.offers]
-        self._places = np.zeros((len(places) + 1, max(map(len, places), default=0)), int)
-        for row, place in zip(self._places, places):
-            row[: place.size] = place
-        self._at = {offer.name: number for number, offer in enumerate(self.offers)}
-        self._families = np.array([offer.family for offer in self.offers], object)
-        self._beside: dict[frozenset[str], Left] = {}
+    def _offer(self, offers: Sequence[Candidate]):
+        self.offers, self._beside = offers, dict[frozenset[str], Left]()
+        self._at = {offer.name: number for number, offer in enumerate(offers)}
+        self._families = np.array([offer.family for offer in offers], object)
+        # Places of each one's columns, and of none in the last row, filled up with zeros.
+        rows = itertools.zip_longest(*(self.folds.columns(o.columns) for o in offers), fillvalue=0)
+        places = np.array([*rows], int).reshape(-1, len(offers))
+        self._places = np.pad(places.T, ((0, 1), (0, 0)))
 
     def names(self, chosen: Sequence[Candidate]) -> tuple[str, ...]:
         """Of the columns that are kept and those of candidates."""
@@ -158,8 +149,7 @@ class Search:
         if names not in self._chances:
             self._chances[names] = dict(zip(names, self.folds.chances(names).tolist()))
         each = min(self._chances[names][column] for column in offer.columns)
-        trials = max(len(self.offers) if self.trials is None else self.trials, 1)
-        return min(each * len(offer.columns) * trials, 1.0)
+        return min(each * len(offer.columns) * max(len(self.offers), 1), 1.0)
 
     def found(self) -> list[Candidate]:
         """The candidates that belong."""
@@ -340,9 +330,6 @@ class Search:
 
 AGAIN = 40
 """Searches."""
-AMONG = 40
-"""Candidates at most that are searched again: those that leave least, alone or beside the chosen.
-"""
 
 
 def again(
@@ -353,17 +340,7 @@ def again(
     **Returns:** shares of the searches that chose each family again, and the standard deviation of
     each parameter over those that hold it. Of a law it is the same one, whatever its width.
     """
-    rng = np.random.default_rng(seed)
-    folds, among = search.folds, search.offers
-    if len(among) > AMONG:
-        others = [offer for offer in among if offer not in chosen]
-        search.beside([[], chosen])
-        orders = [
-            sorted(others, key=lambda offer: search.unexplained([*beside, offer]))
-            for beside in ([], chosen)
-        ]
-        others.sort(key=lambda offer: min(order.index(offer) for order in orders))
-        among = [*chosen, *others[: AMONG - len(chosen)]]
+    rng, folds = np.random.default_rng(seed), search.folds
     final = {
         column: name
         for offer in search.every
@@ -373,7 +350,7 @@ def again(
     values: dict[str, list[float]] = {}
     for _ in range(times):
         drawn = folds.drawn(rng.integers(folds.number, size=folds.number))
-        trial = replace(search, folds=drawn, every=among, trials=len(search.offers))
+        trial = replace(search, folds=drawn, every=search.offers)
         belonging = trial.found()
         families.update(offer.family for offer in belonging)
         names = trial.names(belonging)
