@@ -17,13 +17,13 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 50_050,
+    "src lines": 50_175,
     "src modules": 205,
-    "src statements": 24_050,
+    "src statements": 24_115,
     "src literals": 1_585,
     "lines of commands and settings": 2_300,
-    "tests lines": 27_050,
-    "benchmarks lines": 8_680,
+    "tests lines": 27_100,
+    "benchmarks lines": 8_720,
     "README lines": 150,
 }
 LEAST_PROSE = 17
@@ -35,6 +35,7 @@ MANY_IMPORTS = {
     "riecjax.assessment.assess": 26,
     "riecjax.assessment.doubt": 19,
     "riecjax.assessment.output_error_search": 14,
+    "riecjax.discovery.candidate": 13,
     "riecjax.discovery.discover": 22,
     "riecjax.estimation.check": 20,
     "riecjax.estimation.identify": 22,

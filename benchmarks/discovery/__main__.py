@@ -1,7 +1,7 @@
 """Missing terms: how often exactly those are found, and what right models are given.
 
     python -m benchmarks.discovery [--seeds 200] [--noise 0.01 0.05] [--only duffing drag ...]
-        [--parts found false peers measured] [--json FILE]
+        [--parts found false peers search measured] [--json FILE]
     python -m benchmarks.discovery --page
 
 Ten motions of each problem, noise of every seed its own. `--page` writes docs/discovery.md.
@@ -24,7 +24,8 @@ from riecjax.runtime import start_jax
 
 MOTIONS = 10
 FOUND, FALSE = (0.01, 0.05), (0.0, 0.01, 0.05, 0.1)
-PARTS = ("found", "false", "peers", "measured")
+PARTS = ("found", "false", "peers", "search", "measured")
+CANDIDATES, BELONG = (10, 100), (1.0, 0.6, -0.5, 0.4)
 EVERY = {**PROBLEMS, **OTHERS}
 PAGE = FOLDER.parent / "docs" / "discovery.md"
 BEGIN = "<!-- measured: python -m benchmarks.discovery -->"
@@ -90,6 +91,34 @@ def peers(problem: Machine, noise: float, seeds: int) -> dict[str, Any]:
     return results
 
 
+def search(candidates: int, seeds: int) -> dict[str, Any]:
+    """Four columns that belong, of many that correlate by a half in groups of five, from sums."""
+    import riecjax as rx
+    from riecjax.discovery.search import Search
+    from riecjax.folds import Folds
+
+    names = [f"c{number}" for number in range(candidates)]
+    offers = [rx.discovery.Candidate(name, (rx.Term(name, name),)) for name in names]
+    exact, milliseconds = 0, []
+    for seed in range(-1, seeds):  # the first one warms up
+        rng = np.random.default_rng([seed + 1, candidates])
+        own, kept, noise = (rng.standard_normal((2000, n)) for n in (candidates, 1, 1))
+        columns = own + np.repeat(rng.standard_normal((2000, candidates // 5)), 5, axis=1)
+        belong = rng.choice(candidates, len(BELONG), replace=False)
+        target = kept + columns[:, belong] @ np.array(BELONG)[:, None] + 0.7 * noise
+        rows = np.concatenate([target, kept, columns], axis=1).reshape(20, 100, -1)
+        moments = rows.swapaxes(1, 2) @ rows
+        began = time.perf_counter()
+        looking = Search(Folds(moments, moments, ("kept", *names)), ("kept",), offers)
+        chosen = looking.found()
+        looking.path(chosen)
+        looking.next_best(chosen)
+        if seed >= 0:
+            milliseconds.append(1e3 * (time.perf_counter() - began))
+            exact += {offer.name for offer in chosen} == {names[number] for number in belong}
+    return {"seeds": seeds, "exact": exact / seeds, "ms": float(np.median(milliseconds))}
+
+
 def page() -> str:
     document = json.loads((FOLDER / "discovery.json").read_text())
     return filled_in(PAGE, BEGIN, "\n".join(words(document)))
@@ -111,6 +140,12 @@ def words(document: dict[str, Any]) -> list[str]:
                 f"| {name} | {', '.join(sorted(problem.missing))} | {100 * float(noise):g} % | "
                 f"{_share(own, 'exact')} | {_share(best, 'exact')} | {_share(wrong, 'added')} |"
             )
+    for count, one in document.get("search", {}).items():
+        lines += [""] if count == str(CANDIDATES[0]) else []
+        lines.append(
+            f"From given sums, four of {count} candidates are chosen in {one['ms']:.2g} ms, "
+            f"exactly these in {_share(one, 'exact')}."
+        )
     if (measured := document.get("measured")) is not None:
         lines += _of_measured(measured)
     return lines
@@ -181,6 +216,10 @@ def main() -> None:
         if part == "measured":
             for name, of in MEASURED.items():
                 _keep(given.json, ["measured", name], of(DATA))
+            continue
+        if part == "search":
+            for count in CANDIDATES:
+                _keep(given.json, ["search", str(count)], search(count, given.seeds))
             continue
         measure, levels = of_problem[part]
         for name in given.only:

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.special
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
-from riecjax.linear_algebra import unit_diagonal, unit_scale
+from riecjax.linear_algebra import eliminate_with_pivots, unit_scale
 
 FOLDS = 20
 """At most: more would make little difference to what is left out of each fit."""
@@ -29,12 +29,12 @@ class Left(NamedTuple):
     **Fields:** `motion`, of the signals less their noise; `samples`, noise included.
     """
 
-    motion: Float[np.ndarray, " folds"]
-    samples: Float[np.ndarray, " folds"]
+    motion: Float[np.ndarray, "*structures folds"]
+    samples: Float[np.ndarray, "*structures folds"]
 
-
-LEFT_BY_NONE = Left(np.array([np.inf]), np.zeros(1))
-"""Of columns that cannot be told apart: any others are better."""
+    def of(self, structure: int) -> "Left":
+        """One of several along the first axis."""
+        return Left(self.motion[structure], self.samples[structure])
 
 
 class Folds(NamedTuple):
@@ -87,15 +87,6 @@ class Folds(NamedTuple):
     def columns(self, names: Sequence[str]) -> np.ndarray:
         """Places of columns, that of the target being 0."""
         return np.array([1 + self.parameters.index(name) for name in names], int)
-
-    def told_apart(self, names: Sequence[str]) -> bool:
-        """Whether columns are far enough from collinear to have a coefficient each."""
-        at = self.columns(names)
-        gram = self.motion.sum(0)[np.ix_(at, at)]
-        size = np.diagonal(gram)
-        if not np.all(np.isfinite(gram)) or not np.all(size > 0):
-            return False
-        return bool(np.linalg.eigvalsh(unit_diagonal(gram)[0])[0] > COLLINEAR)
 
     def fitted(self, names: Sequence[str]) -> Float[np.ndarray, " p"]:
         """Coefficients from all folds."""
@@ -159,9 +150,112 @@ class Folds(NamedTuple):
         )
         return Beside(size * value, size * error, total, noise, gained / scale[0] ** 2)
 
-    def chance(self, names: Sequence[str], column: str) -> float:
-        """Probability that a column of a structure that explains nothing is as far from zero."""
-        return self.told(names, column).chance
+    @np.errstate(invalid="ignore", over="ignore")
+    def left_with(
+        self,
+        columns: Int[np.ndarray, " p"],
+        there: Bool[np.ndarray, "structures p"],
+        more: Int[np.ndarray, "groups q"],
+    ) -> Left:
+        """What several structures leave, each with each of several groups of columns more.
+
+        A_f, b_f are the Gram matrix and moments of a structure's columns from all folds but f, H_f
+        the products of these columns with a group's, D_f and d_f the group's own. By elimination
+
+            Z = A^-1 H,  (D - H^T Z) t = d - H^T theta_0,  theta = theta_0 - Z t,
+
+        so that a structure costs one elimination a fold, whatever the number of groups. A matrix is
+        positive definite where all pivots are positive: those of all folds together, less
+        `COLLINEAR` on the diagonal of the correlations, say what can be told apart.
+
+        **Arguments:** places of the `columns` of all structures; which of them are `there` in each;
+        places of those in groups of `more`, filled up with 0.
+
+        **Returns:** shape `(structures, groups, folds)`, infinite where columns cannot be told
+        apart.
+        """
+        at, is_added = np.concatenate([[0], columns]), more > 0
+        both_added = is_added[:, :, None] & is_added[:, None, :]
+
+        def blocks(of: np.ndarray) -> list[np.ndarray]:
+            return [
+                of[:, at[:, None], at],
+                of[:, at[:, None, None], more] * is_added,
+                np.where(
+                    both_added, of[:, more[:, :, None], more[:, None, :]], np.eye(more.shape[1])
+                ),
+            ]
+
+        # From all folds but one, and from all.
+        motion, total = blocks(self.motion), [part.sum(0) for part in blocks(self.motion)]
+        gram, cross, added = (
+            np.concatenate([whole - part, whole[None]]) for whole, part in zip(total, motion)
+        )
+        # Columns scaled to unit length.
+        scale = unit_scale(np.diagonal(gram, axis1=1, axis2=2)[:, 1:])
+        scale_added = unit_scale(np.diagonal(added, axis1=2, axis2=3))
+        a = gram[:, 1:, 1:] * scale[:, :, None] * scale[:, None, :]
+        h = cross[:, 1:] * scale[:, :, None, None] * scale_added[:, None]
+        d = added * scale_added[..., None] * scale_added[..., None, :]
+        a[-1] -= COLLINEAR * np.eye(columns.size)
+        d[-1] -= COLLINEAR * np.eye(more.shape[1])
+        right = np.concatenate(
+            [gram[:, 1:, :1] * scale[:, :, None], h.reshape(*scale.shape, more.size)], axis=2
+        )
+        # Of columns that are not in a structure coefficients are zero.
+        both = (there[:, :, None] & there[:, None, :])[:, None]
+        reduced, pivots = eliminate_with_pivots(
+            np.where(both, a, np.eye(columns.size)), right * there[:, None, :, None]
+        )
+        theta, z = reduced[..., 0], reduced[..., 1:].reshape(*reduced.shape[:3], *more.shape)
+        moment = cross[:, 0] * scale_added - np.einsum("fpkq,sfp->sfkq", h, theta)
+        t, pivots_added = eliminate_with_pivots(
+            d - np.einsum("fpkq,sfpkr->sfkqr", h, z), moment[..., None]
+        )
+        are_apart = np.all(pivots[:, -1] > 0, axis=-1)[:, None]
+        are_apart = are_apart & np.all(pivots_added[:, -1] > 0, axis=-1)
+        # v = (1, -theta_0 + Z t, -t), in the units of the columns.
+        v = np.ones((*t.shape[:1], self.number, at.size, len(more)))
+        t, theta, z = t[:, :-1, ..., 0], theta[:, :-1, :, None], z[:, :-1]
+        v[:, :, 1:] = (np.einsum("sfpkq,sfkq->sfpk", z, t) - theta) * scale[:-1, :, None]
+        t = t * scale_added[:-1]
+
+        def energy(of: Sequence[np.ndarray], otherwise: float) -> np.ndarray:
+            g, h, d = of
+            found = np.sum(v * (g @ v), axis=2)
+            found -= 2 * np.einsum("sfmk,fmkq,sfkq->skf", v, h, t).swapaxes(1, 2)
+            found += np.einsum("sfkq,fkqr,sfkr->sfk", t, d, t)
+            return np.where(are_apart[:, :, None], found.swapaxes(1, 2), otherwise)
+
+        return Left(energy(motion, np.inf), energy(blocks(self.samples), 0.0))
+
+    @np.errstate(divide="ignore", invalid="ignore")
+    def chances(self, names: Sequence[str]) -> Float[np.ndarray, " p"]:
+        """Probabilities that columns of a structure, if they explain nothing, are as far from zero.
+
+        By Student's t of coefficients. With s_f the score of what is a column's own, all others
+        fitted, and g_f its energy in fold f, the coefficient's variance is `sum s^2 / (sum g)^2`,
+        whatever errors are like in each fold. Where a few folds have most of the energy that has
+        few degrees of freedom, and `mean(s^2 / g) / sum g`, which holds where errors are alike all
+        along, has one a fold. The larger of both is taken.
+        """
+        at = self.columns(names)
+        gram, moment = self.motion[:, at[:, None], at], self.motion[:, at, 0]
+        inverse = np.linalg.pinv(gram.sum(0), hermitian=True)
+        theta = inverse @ moment.sum(0)
+        alone = inverse / np.diagonal(inverse)
+        scores = (moment - gram @ theta) @ alone
+        energy = np.sum(alone * (gram @ alone), axis=1)
+        total, freedom = energy.sum(0), self.number - 1
+        some = energy > 1e-6 * total
+        if freedom < 1:
+            return np.ones(at.size)
+        apart = np.sum(scores**2, axis=0) / total**2
+        alike = np.where(some, scores**2 / energy, 0.0).sum(0) / some.sum(0) / total
+        error = np.sqrt(np.maximum(apart, alike) * self.number / freedom)
+        away = np.where(error > 0, np.abs(theta) / error, np.inf)
+        chances = 2 * scipy.special.stdtr(freedom, -away)
+        return np.where((total > 0) & some.any(0), chances, 1.0)
 
 
 class Beside(NamedTuple):

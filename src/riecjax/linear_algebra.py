@@ -12,6 +12,7 @@ Matrices here have as many rows as a model has parameters, and there may be thou
 # blocks, records and machines; so they are used wherever that error is small, and
 # `gram_condition_limit` says where.
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -87,9 +88,10 @@ def eliminate_with_pivots(
 
         table, pivots = jax.lax.scan(step, table, np.arange(size))
         return table[..., size:], xp.moveaxis(pivots, 0, -1)
+    count = math.prod(table.shape[:-2])
     # Matrices side by side in memory, so that each operation runs along all of them; columns that
     # are done are not touched again.
-    table = np.ascontiguousarray(np.moveaxis(table.reshape(-1, *table.shape[-2:]), 0, -1))
+    table = np.ascontiguousarray(np.moveaxis(table.reshape(count, *table.shape[-2:]), 0, -1))
     pivots = np.empty((size, table.shape[-1]))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         for k in range(size):

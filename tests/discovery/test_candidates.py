@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.discovery.candidate import Shaped, default_candidates
+from riecjax.discovery.candidate import Shaped, default_candidates, not_offered
 from riecjax.equations.motions import per
 
 RNG = np.random.default_rng(0)
@@ -52,6 +52,40 @@ def test_a_mass_may_lack_friction_springs_and_an_offset_in_the_units_of_its_iner
     }
 
 
+def told(model: rx.Equation | rx.Model, record: rx.Record) -> list[tuple[str, ...]]:
+    found = not_offered(rx.equations.as_model(model), [record])
+    assert all(one.code == "not_offered" for one in found)
+    return [(*one.signals, one.message) for one in found]
+
+
+@pytest.mark.raises_finding("not_offered")
+def test_what_has_no_signal_is_said_and_how_to_name_one():
+    nameless = rx.Equation(rx.Term("m", "x", derivative=2, unit="kg"), -rx.Term(1.0, "u"), unit="N")
+    names = {*units_of(candidates(nameless, "x", "dx", "u"))}
+    assert not names & {"coulomb", "dahl", "stribeck", "product"}
+    ((signal, message),) = told(nameless, record("x", "u"))
+    assert signal == "x"
+    assert "measured=('dx',)" in message
+    # By the name that the recording has for it.
+    x = np.sin(0.02 * np.arange(500))
+    speed = rx.Record.from_samples({"x": x, "speed": np.gradient(x), "u": x**2}, time_step=0.01)
+    ((_, message),) = told(nameless, speed)
+    assert "measured=('speed',)" in message
+    rotor = rx.Equation(rx.Term("J", "w", derivative=1, unit="kg m^2"), -rx.Term(1.0, "T"))
+    assert "stiffness" not in units_of(candidates(rotor, "w", "T"))
+    ((signal, message),) = told(rotor, record("w", "T"))
+    assert signal == "w"
+    assert "springs" in message
+
+
+@pytest.mark.no_finding("not_offered")
+@pytest.mark.parametrize("model", ["mass", "quarter-car", "emps"])
+def test_of_what_can_all_be_offered_nothing_is_said(model):
+    model = rx.equations.as_model(MASS) if model == "mass" else rx.find_model(model)
+    names = {*(signal.name for signal in model.signals), "x", "dx", "u"}
+    assert told(model, record(*names)) == []
+
+
 def test_of_several_motions_candidates_carry_the_signals_name_and_of_several_equations_theirs():
     model = rx.find_model("quarter-car")
     found = candidates(model, "x1", "x2", "x3", "x4", "F_t")
@@ -89,31 +123,3 @@ def test_widths_lie_within_the_motion_and_grow_and_closer_ones_keep_that_which_t
 )
 def test_units_of_coefficients(unit, of, power, found):
     assert per(unit, of, power) == found
-
-
-def swinging() -> rx.Record:
-    """m x'' + k x = F, of which the position alone is recorded."""
-    rng, times = np.random.default_rng(4), np.arange(3000) * 0.01
-    rates, phases = 2 * np.pi * rng.uniform(0.3, 4, (20, 1)), rng.uniform(0, 6, (20, 1))
-    x, a = (((-(rates**2)) ** n * np.sin(rates * times + phases)).sum(0) for n in (0, 1))
-    return rx.Record.from_samples({"x": x, "F": 2 * a + 30 * x}, time_step=0.01)
-
-
-def body(*measured: str) -> rx.Equation:
-    inertia = rx.Term("m", "x", derivative=2, measured=measured, unit="kg")
-    return rx.Equation(inertia, -rx.Term(1.0, "F"), name="body", unit="N")
-
-
-@pytest.mark.raises_finding("not_offered")
-def test_kinds_that_need_a_velocity_nobody_declares_are_named():
-    found = rx.discover(body(), swinging(), resamples=0, intervals=rx.Naive())
-    (finding,) = [one for one in found.findings if one.code == "not_offered"]
-    assert finding.signals == ("x",)
-    assert "neither friction nor hysteresis" in finding.message
-    assert "--differentiate dx=x" in finding.message
-
-
-@pytest.mark.no_finding("not_offered")
-def test_a_velocity_that_is_declared_and_not_recorded_is_formed():
-    found = rx.discover(body("v"), swinging(), resamples=0, intervals=rx.Naive())
-    assert "stiffness" in found.names

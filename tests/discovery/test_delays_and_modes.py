@@ -14,6 +14,7 @@ from tests.machines import body_with_mode as motion
 import riecjax as rx
 from nightly import nightly
 from riecjax.discovery.discover import discover, model_source
+from riecjax.equations.model import as_model
 from riecjax.models.catalogue import find_model
 from riecjax.reporting.discovery import (
     discovery_document,
@@ -101,6 +102,21 @@ def test_the_file_of_a_model_with_a_mode_is_identified_and_simulated(tmp_path):
     again = rx.identify(read, carrying())
     assert float(again["M_mode"]) == pytest.approx(float(found.estimate["M_mode"]), rel=1e-6)
     assert {q.name: q.default for q in read.simulation_parameters}["M_mode"] is not None
+
+
+@pytest.mark.raises_finding("not_offered")
+def test_hysteresis_that_cannot_be_offered_is_called_no_mode():
+    """Its velocity has no name: what it leaves rings, and a mode explains nearly all of it."""
+    inertia, spring = rx.Term("m", "x", derivative=2), rx.Term("k", "x")
+    nameless = as_model(rx.Equation(inertia, spring, -rx.Term(1.0, "u"), name="mass", unit="N"))
+    record = PROBLEMS["hysteresis"].record(0.01, 0).select("x", "u")
+    found = discover(nameless, record, **QUICK)
+    assert found.leaves_more
+    assert found.mode is None
+    assert [warning["code"] for warning in discovery_document(found)["warnings"]] == ["not_offered"]
+    moded = rx.identify(nameless.with_modes(rx.HiddenMode("x")), record, intervals=rx.Naive())
+    left = (float(one.equations["mass"].model_rms) for one in (moded, found.estimate))
+    assert next(left) < 0.3 * next(left)
 
 
 def test_a_body_without_a_mode_is_given_none():

@@ -160,12 +160,35 @@ def test_folds_are_of_whole_blocks_and_empty_blocks_are_in_none():
     assert found.number == 5
 
 
+def test_structures_with_more_columns_leave_what_each_leaves_by_itself(rows):
+    """Of any sizes, one elimination for all, and noise taken off."""
+    rng = np.random.default_rng(3)
+    rows = np.column_stack([rows, rows[:, :1] + rng.standard_normal((400, 3))])
+    folds = folds_of(rows, 8, np.diag([0.0, 0.1, 0.2, 1e-6, 0.1, 0.1, 0.1]))
+    structures, groups = ["ab", "a", "", "cb"], ["", "d", "ef", "f"]
+    columns = folds.columns("abc")
+    there = np.array([[name in one for name in "abc"] for one in structures])
+    more = np.array([[*folds.columns(names), 0, 0][:2] for names in groups])
+    found = folds.left_with(columns, there, more)
+    for i, structure in enumerate(structures):
+        for j, group in enumerate(groups):
+            alone = folds.left(structure + group)
+            assert found.motion[i, j] == pytest.approx(alone.motion, rel=1e-9)
+            assert found.samples[i, j] == pytest.approx(alone.samples, rel=1e-9)
+
+
 @pytest.mark.parametrize("apart", [True, False])
 def test_columns_that_are_nearly_one_are_not_told_apart(rows, apart):
     double = rows[:, 1] + (0.1 if apart else 1e-5) * rows[:, 2] / 100
-    found = folds_of(np.column_stack([rows, double]), 8)
-    assert found.told_apart(("a", "d")) == apart
-    assert not found.told_apart(("a", "b", "c", "d")) or apart
+    folds = folds_of(np.column_stack([rows, double]), 8)
+
+    def left(names: str, more: str) -> float:
+        columns, there = folds.columns(names), np.ones((1, len(names)), bool)
+        return folds.left_with(columns, there, folds.columns(more)[None]).motion.sum()
+
+    assert np.isfinite(left("a", "d")) == np.isfinite(left("", "ad")) == apart
+    assert np.isfinite(left("ad", "c")) == apart
+    assert not np.isfinite(left("ab", "d"))
 
 
 @pytest.mark.parametrize("decay", [0.0, 6.0])
@@ -177,7 +200,7 @@ def test_chance_is_uniform_of_columns_that_explain_nothing(decay):
     for _ in range(1000):
         columns = size * rng.standard_normal((400, 3))
         target = columns[:, 0] + 0.3 * rng.standard_normal(400)
-        chances.append(folds_of(np.column_stack([target, columns]), 20).chance(("a", "b"), "b"))
+        chances.append(folds_of(np.column_stack([target, columns]), 20).chances(("a", "b"))[1])
     # Where energy is in few folds the larger of two variances is taken, which is cautious.
     assert np.mean(np.less(chances, 0.05)) < 0.075
     assert np.mean(np.less(chances, 0.001)) < 0.005

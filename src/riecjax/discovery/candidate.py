@@ -16,10 +16,12 @@ from jaxtyping import Float
 
 from riecjax.doubts.columns import Doubt
 from riecjax.equations.bases import AbstractShape, DeadZone, Saturation, Stribeck
+from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, constant, even, odd, product, read_expression
+from riecjax.equations.hidden_elements import accelerated
 from riecjax.equations.memories import BoucWen, Dahl, Elapsed, Memory, usual_widths
 from riecjax.equations.model import Model
-from riecjax.equations.motions import Motion, motions_and_unread, per
+from riecjax.equations.motions import Motion, is_slope, motions_and_unread, per
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError, RiecjaxError, require
 from riecjax.findings import Finding
@@ -211,22 +213,8 @@ def default_candidates(model: Model, records: Sequence[Record]) -> list[AnyCandi
     **Arguments:** `records`, which say what is recorded, in which units, and how far signals reach.
     """
     found: list[AnyCandidate] = []
-    units = {signal.name: signal.unit for signal in model.signals}
-    for record in records:
-        units |= {name: unit for name, unit in dict(record.units).items() if unit}
-    recorded = set.intersection(*({*record.arrays} for record in records))
-    # Signals that are recorded, and that no equation reads or knows as a derivative.
-    signals = records[0].signals
-    for term in (term for equation in model.equations for term in equation.terms):
-        with contextlib.suppress(RiecjaxError):
-            read_expression(term.of, signals)
-    known = {name for e in model.equations for pair in e.derivatives for name in pair}
-    known |= {*signals.read}
-    unread = [name for name in records[0].arrays if name in recorded and name not in known]
-    names = (name for stage in model.equation_names for name in stage)
-    for name, equation in zip(names, model.equations, strict=True):
-        motions, others = motions_and_unread(equation, records[0], recorded, units, unread)
-        found += _of_unread(others, motions, equation.unit, units, name)
+    for name, equation, motions, unread, units in _motions(model, records):
+        found += _of_unread(unread, motions, equation.unit, units, name)
         for motion in motions:
             after = f"_{motion.name}" if len(motions) > 1 else ""
             found += _of_motion(motion, equation.unit, records, name, after)
@@ -248,29 +236,52 @@ def default_candidates(model: Model, records: Sequence[Record]) -> list[AnyCandi
 
 
 def not_offered(model: Model, records: Sequence[Record]) -> list[Finding]:
-    """`not_offered` of kinds of terms that no candidate has, since no signal is known to read."""
+    """Which of the usual kinds of candidates a model's motions have no signal for, and why."""
+    found: dict[str, Finding] = {}
+    motions = [(m, equation) for _, equation, those, *_ in _motions(model, records) for m in those]
+    for motion, equation in motions:
+        x, v = motion.position, motion.velocity
+        if x in accelerated(equation) and not v:
+            recorded = records[0].arrays
+            v = next((n for n in recorded if n != x and is_slope(records[0], x, n)), f"d{x}")
+            found[x] = Finding(
+                "not_offered",
+                f"no velocity of {x} has a name in the model: dry friction, drag, hysteresis and "
+                f"damping by position are not offered, and no hidden mode, which hysteresis "
+                f"resembles. Write measured=('{v}',) in the term of the inertia: what is not "
+                f"recorded is formed of {x}",
+                (x,),
+            )
+        if v and not any(other.position for other, _ in motions):
+            found[v] = Finding(
+                "not_offered",
+                f"no position belongs to {v}: springs, stops, forces that saturate and damping by "
+                f"position are not offered. Record it",
+                (v,),
+            )
+    return list(found.values())
+
+
+def _motions(
+    model: Model, records: Sequence[Record]
+) -> Iterator[tuple[str, Equation, list[Motion], list[str], dict[str, str]]]:
+    """The name of each equation, it, its motions, signals that none reads, and units of all."""
     units = {signal.name: signal.unit for signal in model.signals}
-    units |= {name: unit for record in records for name, unit in record.units if unit}
+    for record in records:
+        units |= {name: unit for name, unit in dict(record.units).items() if unit}
     recorded = set.intersection(*({*record.arrays} for record in records))
-    found = []
+    # Signals that are recorded, and that no equation reads or knows as a derivative.
+    signals = records[0].signals
+    for term in (term for equation in model.equations for term in equation.terms):
+        with contextlib.suppress(RiecjaxError):
+            read_expression(term.of, signals)
+    known = {name for e in model.equations for pair in e.derivatives for name in pair}
+    known |= {*signals.read}
+    unread = [name for name in records[0].arrays if name in recorded and name not in known]
     names = (name for stage in model.equation_names for name in stage)
     for name, equation in zip(names, model.equations, strict=True):
-        motions, _ = motions_and_unread(equation, records[0], recorded, units, ())
-        for x in (motion.position for motion in motions if not motion.velocity):
-            message = (
-                f"{name}: no velocity of {x} is declared that is recorded or can be formed, so "
-                f"that neither friction nor hysteresis is offered. Name it in the model, as in "
-                f"rx.Term('c', '{x}', derivative=1, measured=('d{x}',)), and record it or derive "
-                f"it (on the command line: --differentiate d{x}={x})."
-            )
-            found.append(Finding("not_offered", message, (x,)))
-        if not motions:
-            message = (
-                f"{name}: no motion is known of its signals, so that neither friction nor springs "
-                f"are offered. Declare derivatives in its terms, or units of its signals."
-            )
-            found.append(Finding("not_offered", message, tuple(sorted(equation.signals))))
-    return found
+        motions, others = motions_and_unread(equation, records[0], recorded, units, unread)
+        yield name, equation, motions, others, units
 
 
 def of_term(

@@ -11,6 +11,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for, with_velocities
 from riecjax.discovery.candidate import (
     Candidate,
+    Shaped,
     as_candidates,
     default_candidates,
     members,
@@ -193,8 +194,8 @@ def discover(model: Equation | Model, records: "Records", settings: DiscoverSett
     if settings.candidates is not None:  # these, and nothing else
         return _found(asked, whole)[0]
     answer, in_time = _in_time(asked, whole)
-    unoffered = not_offered(model, [recording.record for recording in whole])
-    answer = replace(answer, findings=(*answer.findings, *unoffered))
+    lacking = not_offered(model, [recording.record for recording in whole])
+    answer = replace(answer, findings=(*lacking, *answer.findings))
     if not answer.leaves_more or any(finding.about.disorder for finding in answer.amiss):
         return answer
     return _with_mode(asked, answer, in_time)
@@ -319,13 +320,18 @@ def _with_mode(asked: Question, found: Discovery, recordings: list[Recording]) -
     stages = {name: " + ".join(names) for names in model.equation_names for name in names}
     bodies = {n: accelerated(one) for n, one in zip(stages, model.equations, strict=True)}
     fits = found.estimate.equations
-    for name in sorted((n for n in stages if bodies[n]), key=lambda n: -float(fits[n].model_rms)):
+    # What is left of hysteresis rings like a mode: where that is not offered no mode is, nor
+    # beside it.
+    hysteretic = {one.equation for one in asked.offered if isinstance(one, Shaped) and one.remember}
+    names = [name for name in stages if bodies[name] and name in hysteretic]
+    for name in sorted(names, key=lambda n: -float(fits[n].model_rms)):
         for on in reversed(bodies[name]):
             try:
                 chosen, estimate = _beside_mode(asked, found, recordings, criterion, name, on)
             except RiecjaxError:  # no mode is to be found on this body
                 continue
-            if float(estimate.equations[name].model_rms) >= LEAVES * float(fits[name].model_rms):
+            left, most = estimate.equations[name].model_rms, LEAVES * float(fits[name].model_rms)
+            if float(left) >= most or any(one.width and one.candidate.memories for one in chosen):
                 continue
             start = found.estimate
             if found.chosen:
@@ -401,7 +407,8 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     """
     names = ", ".join(found.names)
     head = f'"""{found.start.name}{f" with {names}" if names else ""}."""\n\n'
-    values = {name: float(found.estimate[name]) for name in found.estimate.parameters}
+    estimate = found.estimate
+    values = {n: float(estimate[n]) for n in (*estimate.parameters, *estimate.known)}
     terms = [chosen.candidate for chosen in found.chosen]
     hidden = () if found.mode is None else found.mode.parameters
     of_mode = {name: value for name, value in values.items() if name in hidden}

@@ -16,22 +16,19 @@ data, so that the usual interval of what stayed is too narrow, and says nothing 
 chosen. Drawing folds with replacement and searching again lets the choice vary as it would on other
 recordings (Efron, 2014); a parameter's variance over these searches includes that of the choice.
 
-Sums of a model and of all that it may lack, summed anew as widths come closer.
-
 A law with a width stands in the sums for each of a few widths. Once one of them is chosen, they are
 moved together around it, beside what else was chosen, until neighbours differ by a few parts in a
 thousand. Widths are arrays, so that no sum is compiled anew.
-
-A model with terms that it may lack.
 """
 
 import itertools
 from collections import Counter
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.discovery.candidate import AnyCandidate, Candidate, Shaped, members
@@ -39,7 +36,7 @@ from riecjax.equations.bases import DeadZone, Saturation
 from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm
 from riecjax.errors import DataError
-from riecjax.folds import LEFT_BY_NONE, Folds, Left
+from riecjax.folds import Folds, Left
 from riecjax.records.recording import Recording
 from riecjax.settings import Discover
 from riecjax.summaries.normal_equations import sum_of_equations
@@ -90,8 +87,7 @@ class Search:
     Columns of a candidate enter together. Of a law with a width a structure takes one.
 
     **Fields:** `folds`; names of the columns that are `kept`; `every` candidate; `least`, share of
-    what is unexplained that a term must make up for; `smallest`, share of the whole; `trials`, how
-    many candidates there were to choose from, where these are some of them.
+    what is unexplained that a term must make up for; `smallest`, share of the whole.
     """
 
     folds: Folds
@@ -99,35 +95,61 @@ class Search:
     every: Sequence[Candidate]
     least: float = SHARE
     smallest: float = LEAST
-    trials: int | None = None
 
     def __post_init__(self):
-        self.offers = [one for one in self.every if self.folds.told_apart(self.names([one]))]
-        self._known: dict[frozenset[str], Left] = {}
+        self._alone = self.folds.left(self.kept)
+        self._chances: dict[tuple[str, ...], dict[str, float]] = {}
+        self._offer(self.every)
+        # What repeats the columns that are kept cannot be told apart from these.
+        apart = np.isfinite(self.beside([[]])[0].motion[:-1, 0])
+        self._offer(list(itertools.compress(self.every, apart)))
+
+    def _offer(self, offers: Sequence[Candidate]):
+        self.offers, self._beside = offers, dict[frozenset[str], Left]()
+        self._at = {offer.name: number for number, offer in enumerate(offers)}
+        self._families = np.array([offer.family for offer in offers], object)
+        # Places of each one's columns, and of none in the last row, filled up with zeros.
+        rows = itertools.zip_longest(*(self.folds.columns(o.columns) for o in offers), fillvalue=0)
+        places = np.array([*rows], int).reshape(-1, len(offers))
+        self._places = np.pad(places.T, ((0, 1), (0, 0)))
 
     def names(self, chosen: Sequence[Candidate]) -> tuple[str, ...]:
         """Of the columns that are kept and those of candidates."""
         return (*self.kept, *(column for offer in chosen for column in offer.columns))
 
+    def beside(self, structures: Sequence[Sequence[Candidate]]) -> list[Left]:
+        """What each structure leaves with one offer more, and in the last row with none."""
+        keys = [frozenset(offer.name for offer in chosen) for chosen in structures]
+        new = {key: chosen for key, chosen in zip(keys, structures) if key not in self._beside}
+        if new:
+            named = [self.names(chosen) for chosen in new.values()]
+            every = tuple(dict.fromkeys(itertools.chain(*named)))
+            there = np.array([[name in names for name in every] for names in named], bool)
+            left = self.folds.left_with(self.folds.columns(every), there, self._places)
+            self._beside |= {key: Left(*each) for key, *each in zip(new, *left)}
+        return [self._beside[key] for key in keys]
+
     def left(self, chosen: Sequence[Candidate]) -> Left:
-        """What candidates leave of each fold."""
+        """What candidates leave of each fold; infinite where they cannot be told apart."""
+        if not chosen:
+            return self._alone
         key = frozenset(offer.name for offer in chosen)
-        if key not in self._known:
-            names = self.names(chosen)
-            good = not chosen or self.folds.told_apart(names)
-            self._known[key] = self.folds.left(names) if good else LEFT_BY_NONE
-        return self._known[key]
+        for name in key & self._at.keys() if key not in self._beside else ():
+            if (known := self._beside.get(key - {name})) is not None:
+                return known.of(self._at[name])
+        return self.beside([chosen])[0].of(-1)
 
     def unexplained(self, chosen: Sequence[Candidate]) -> float:
-        """What candidates leave of the motion, infinite where they cannot be told apart."""
+        """What candidates leave of the motion."""
         return float(self.left(chosen).motion.sum())
 
     def chance(self, chosen: Sequence[Candidate], offer: Candidate) -> float:
         """That a candidate which explains nothing stands out as much, any one of all."""
         names = self.names(chosen)
-        each = min(self.folds.chance(names, column) for column in offer.columns)
-        trials = max(len(self.offers) if self.trials is None else self.trials, 1)
-        return min(each * len(offer.columns) * trials, 1.0)
+        if names not in self._chances:
+            self._chances[names] = dict(zip(names, self.folds.chances(names).tolist()))
+        each = min(self._chances[names][column] for column in offer.columns)
+        return min(each * len(offer.columns) * max(len(self.offers), 1), 1.0)
 
     def found(self) -> list[Candidate]:
         """The candidates that belong."""
@@ -149,25 +171,37 @@ class Search:
             chosen = more
         return chosen
 
-    def _free(self, chosen: Sequence[Candidate]) -> Iterator[Candidate]:
-        families = {offer.family for offer in chosen}
-        return (offer for offer in self.offers if offer.family not in families)
+    def _further(
+        self, structures: Sequence[list[Candidate]]
+    ) -> tuple[Left, Bool[np.ndarray, "structures offers"]]:
+        """What structures leave with one offer more, and which ones are of no law that is there."""
+        tables = self.beside(structures)
+        left = Left(*(np.stack(part)[:, :-1] for part in zip(*tables)))
+        families = [[offer.family for offer in chosen] for chosen in structures]
+        return left, np.stack([~np.isin(self._families, there) for there in families])
+
+    def _least_first(self, left: Left, may: Bool[np.ndarray, "structures offers"]) -> np.ndarray:
+        """Places of those that may join, by what is left of the motion; by their order where that
+        is the same to rounding."""
+        places = np.argwhere(may)
+        shares = left.motion.sum(-1)[may] / (self.folds.energy or 1.0)
+        return places[np.argsort(np.round(shares, 12), kind="stable")]
 
     def _grown(self, chosen: list[Candidate], sure: bool = False) -> list[Candidate] | None:
         """With what gains most, if that is worth a term; of what chance does not explain, if it is
         to be `sure`."""
-        before, larger = self.left(chosen), [[*chosen, offer] for offer in self._free(chosen)]
+        before = self.left(chosen)
+        left, may = self._further([chosen])
+        may &= left.motion.sum(-1) < before.motion.sum()
         if sure:
-            larger = [
-                more
-                for more in larger
-                if self._is_worth(before, self.left(more)) and self.chance(more, more[-1]) < RATE
-            ]
-        best = min(larger, key=self.unexplained, default=chosen)
-        if not self.unexplained(best) < self.unexplained(chosen):
-            return None
-        grown = self._simpler(best)
-        return grown if self._is_worth(before, self.left(grown)) else None
+            may &= self._is_worth(before, left)
+        for _, number in self._least_first(left, may):
+            best = [*chosen, self.offers[number]]
+            if sure and self.chance(best, best[-1]) >= RATE:
+                continue
+            grown = self._simpler(best)
+            return grown if self._is_worth(before, self.left(grown)) else None
+        return None
 
     def _simpler(self, chosen: list[Candidate]) -> list[Candidate]:
         """With a law without a width instead of the last one, where it predicts about as well and
@@ -175,21 +209,23 @@ class Search:
         *rest, last = chosen
         if last.law is None:
             return chosen
-        now, is_doubtful = self.left(chosen), self.chance(chosen, last) >= RATE
-        alike = [
-            [*rest, offer]
-            for offer in self.offers
-            if offer.law is None
-            and offer not in rest
-            and not self._is_worth(self.left([*rest, offer]), now)
-            and (is_doubtful or self.chance([*rest, offer], offer) < RATE)
-        ]
-        return min(alike, key=self.unexplained, default=chosen)
+        left, may = self._further([rest])
+        may &= ~self._is_worth(left, self.left(chosen))
+        may &= [offer.law is None for offer in self.offers]
+        is_doubtful = self.chance(chosen, last) >= RATE
+        for _, number in self._least_first(left, may):
+            simpler = [*rest, self.offers[number]]
+            if is_doubtful or self.chance(simpler, simpler[-1]) < RATE:
+                return simpler
+        return chosen
 
-    def _is_worth(self, before: Left, after: Left) -> bool:
+    def _is_worth(self, before: Left, after: Left) -> Any:
         """Whether terms explain enough more of the motion: their own noise is no fault of them."""
-        gain = float(before.motion.sum()) - float(after.motion.sum())
-        return gain > max(self.least * before.samples.sum(), self.smallest * self.folds.energy)
+        with np.errstate(invalid="ignore"):
+            gain = before.motion.sum(-1) - after.motion.sum(-1)
+        return gain > np.maximum(
+            self.least * before.samples.sum(-1), self.smallest * self.folds.energy
+        )
 
     def _settled(self, chosen: list[Candidate]) -> list[Candidate]:
         """Without what is worth no term beside the rest, and others where these predict better."""
@@ -200,27 +236,30 @@ class Search:
         return chosen
 
     def _better(self, chosen: list[Candidate]) -> list[Candidate] | None:
+        if not chosen:
+            return None
         now = self.left(chosen)
-        without = [(offer, [other for other in chosen if other is not offer]) for offer in chosen]
-        for _, rest in without:
+        rests = [[other for other in chosen if other is not offer] for offer in chosen]
+        fewer = [
+            [offer for offer in chosen if offer not in pair]
+            for pair in itertools.combinations(chosen, 2)
+        ]
+        left, may = self._further([*rests, *fewer])
+        may[:, [self._at[offer.name] for offer in chosen]] = False
+        for rest in rests:
             if not self._is_worth(self.left(rest), now):
                 return rest
         # Of two terms the one law that says the same: a spring and what it lacks within a gap.
-        for pair in itertools.combinations(chosen, 2):
-            rest = [offer for offer in chosen if offer not in pair]
-            for other in self._free(rest):
-                if other not in pair and not self._is_worth(self.left([*rest, other]), now):
-                    return [*rest, other]
-        for offer, rest in without:
+        alike = may & ~self._is_worth(left, now)
+        for structure, number in np.argwhere(alike[len(rests) :])[:1]:
+            return [*fewer[structure], self.offers[number]]
+        for offer, rest in zip(chosen, rests, strict=True):
             if (simpler := self._simpler([*rest, offer]))[-1] is not offer:
                 return simpler
-        changed = [
-            [*rest, other]
-            for offer, rest in without
-            for other in self._free(rest)
-            if other is not offer and self._is_worth(now, self.left([*rest, other]))
-        ]
-        return min(changed, key=self.unexplained, default=None)
+        may[len(rests) :] = False
+        for structure, number in self._least_first(left, may & self._is_worth(now, left)):
+            return [*rests[structure], self.offers[number]]
+        return None
 
     def _pruned(self, chosen: list[Candidate]) -> list[Candidate]:
         while chosen:
@@ -253,15 +292,15 @@ class Search:
 
     def next_best(self, chosen: Sequence[Candidate], most: int = 5) -> list[Rejected]:
         """Candidates that were not taken and would gain most."""
-        now, energy = self.unexplained(chosen), self.left(chosen).samples.sum()
-        larger = [[*chosen, offer] for offer in self._free(chosen)]
-        gains = [(float((now - self.unexplained(more)) / energy), more) for more in larger]
-        nearest = [
-            Rejected(more[-1].family, gain, self.chance(more, more[-1]))
-            for gain, more in gains
-            if gain > 0
+        now = self.left(chosen)
+        left, may = self._further([[*chosen]])
+        gains = (now.motion.sum() - left.motion.sum(-1)) / now.samples.sum()
+        nearest = self._least_first(left, may & (gains > 0))[:most]
+        larger = [(number, [*chosen, self.offers[number]]) for _, number in nearest]
+        return [
+            Rejected(more[-1].family, float(gains[0, number]), self.chance(more, more[-1]))
+            for number, more in larger
         ]
-        return sorted(nearest, key=lambda rejected: -rejected.gain)[:most]
 
     def width_error(self, chosen: Sequence[Candidate], offer: Candidate) -> float:
         """Standard error of a law's width; nan where it lies at the end of what was tried.
@@ -279,7 +318,7 @@ class Search:
             number = int(np.argmin([self.unexplained(structure) for structure in each]))
         # At an end there are fewer.
         near = [self.left(structure) for structure in each[max(number - 1, 0) : number + 2]]
-        if len(near) < 3 or any(left is LEFT_BY_NONE for left in near):
+        if len(near) < 3 or not np.isfinite([left.motion for left in near]).all():
             return float("nan")
         below, at, above = (left.motion for left in near)
         low, high = widths[number] - widths[number - 1], widths[number + 1] - widths[number]
@@ -291,9 +330,6 @@ class Search:
 
 AGAIN = 40
 """Searches."""
-AMONG = 40
-"""Candidates at most that are searched again: those that leave least, alone or beside the chosen.
-"""
 
 
 def again(
@@ -304,16 +340,7 @@ def again(
     **Returns:** shares of the searches that chose each family again, and the standard deviation of
     each parameter over those that hold it. Of a law it is the same one, whatever its width.
     """
-    rng = np.random.default_rng(seed)
-    folds, among = search.folds, search.offers
-    if len(among) > AMONG:
-        others = [offer for offer in among if offer not in chosen]
-        orders = [
-            sorted(others, key=lambda offer: search.unexplained([*beside, offer]))
-            for beside in ([], chosen)
-        ]
-        others.sort(key=lambda offer: min(order.index(offer) for order in orders))
-        among = [*chosen, *others[: AMONG - len(chosen)]]
+    rng, folds = np.random.default_rng(seed), search.folds
     final = {
         column: name
         for offer in search.every
@@ -323,7 +350,7 @@ def again(
     values: dict[str, list[float]] = {}
     for _ in range(times):
         drawn = folds.drawn(rng.integers(folds.number, size=folds.number))
-        trial = replace(search, folds=drawn, every=among, trials=len(search.offers))
+        trial = replace(search, folds=drawn, every=search.offers)
         belonging = trial.found()
         families.update(offer.family for offer in belonging)
         names = trial.names(belonging)

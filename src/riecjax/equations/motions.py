@@ -79,7 +79,7 @@ def motions_and_unread(
         motion
         if motion.position
         else replace(
-            motion, position=next((n for n in unread if _is_slope(record, n, motion.velocity)), "")
+            motion, position=next((n for n in unread if is_slope(record, n, motion.velocity)), "")
         )
         for motion in dict.fromkeys(motions.values())
     ]
@@ -87,7 +87,7 @@ def motions_and_unread(
     return with_positions, [name for name in unread if name not in positions][:MOST_UNREAD]
 
 
-def _is_slope(record: Record, position: str, velocity: str) -> bool:
+def is_slope(record: Record, position: str, velocity: str) -> bool:
     """Whether a signal goes along with the slope of another one."""
     x, v = record.signal(position).with_nan, record.signal(velocity).with_nan[1:-1]
     slope = x[2:] - x[:-2]
