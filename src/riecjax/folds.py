@@ -109,14 +109,7 @@ class Folds(NamedTuple):
         return Told(value, error, self.number - 1)
 
     def beside(self, names: Sequence[str], columns: Sequence[str]) -> "Beside":
-        """Each of some columns in turn beside the columns of a structure.
-
-        With s_f the score of what is the column's own, all others fitted, and g_f its energy in
-        fold f, the coefficient's variance is `sum s^2 / (sum g)^2`, whatever errors are like in
-        each fold. Where a few folds have most of the energy that has few degrees of freedom, and
-        `mean(s^2 / g) / sum g`, which holds where errors are alike all along, has one a fold. The
-        larger of both is taken.
-        """
+        """Each of some columns in turn beside the columns of a structure, see `errors`."""
         base, own = self.columns(names), self.columns(columns)
         scale = unit_scale(np.diagonal(self.motion.sum(0)))
         every = self.motion * scale[:, None] * scale
@@ -130,17 +123,10 @@ class Folds(NamedTuple):
             - 2 * np.einsum("fpc,pc->fc", across, along)
             + np.einsum("pc,fpq,qc->fc", along, gram, along)
         )
-        total, freedom = energy.sum(0), max(self.number - 1, 1)
-        there = np.where(total > 0, total, np.inf)
-        value = scores.sum(0) / there
+        total = energy.sum(0)
+        value = scores.sum(0) / np.where(total > 0, total, np.inf)
         gained = scores.sum(0) * value
-        scores = scores - value * energy
-        some = energy > 1e-6 * there
-        apart = np.sum(scores**2, axis=0) / there**2
-        alike = np.sum(np.where(some, scores**2 / np.where(some, energy, 1.0), 0.0), axis=0)
-        alike = alike / np.maximum(some.sum(0), 1) / there
-        error = np.sqrt(np.maximum(apart, alike) * self.number / freedom)
-        error = np.where(some.any(0) & (self.number > 1), error, np.inf)
+        error = errors(scores - value * energy, energy)
         size = scale[own] / scale[0]
         noise = (self.samples - self.motion).sum(0) * scale[:, None] * scale
         noise = (
@@ -229,16 +215,9 @@ class Folds(NamedTuple):
 
         return Left(energy(motion, np.inf), energy(blocks(self.samples), 0.0))
 
-    @np.errstate(divide="ignore", invalid="ignore")
     def chances(self, names: Sequence[str]) -> Float[np.ndarray, " p"]:
-        """Probabilities that columns of a structure, if they explain nothing, are as far from zero.
-
-        By Student's t of coefficients. With s_f the score of what is a column's own, all others
-        fitted, and g_f its energy in fold f, the coefficient's variance is `sum s^2 / (sum g)^2`,
-        whatever errors are like in each fold. Where a few folds have most of the energy that has
-        few degrees of freedom, and `mean(s^2 / g) / sum g`, which holds where errors are alike all
-        along, has one a fold. The larger of both is taken.
-        """
+        """Probabilities that columns of a structure, if they explain nothing, are as far from zero:
+        by Student's t of their coefficients, see `errors`."""
         at = self.columns(names)
         gram, moment = self.motion[:, at[:, None], at], self.motion[:, at, 0]
         inverse = np.linalg.pinv(gram.sum(0), hermitian=True)
@@ -246,16 +225,7 @@ class Folds(NamedTuple):
         alone = inverse / np.diagonal(inverse)
         scores = (moment - gram @ theta) @ alone
         energy = np.sum(alone * (gram @ alone), axis=1)
-        total, freedom = energy.sum(0), self.number - 1
-        some = energy > 1e-6 * total
-        if freedom < 1:
-            return np.ones(at.size)
-        apart = np.sum(scores**2, axis=0) / total**2
-        alike = np.where(some, scores**2 / energy, 0.0).sum(0) / some.sum(0) / total
-        error = np.sqrt(np.maximum(apart, alike) * self.number / freedom)
-        away = np.where(error > 0, np.abs(theta) / error, np.inf)
-        chances = 2 * scipy.special.stdtr(freedom, -away)
-        return np.where((total > 0) & some.any(0), chances, 1.0)
+        return chance(theta, errors(scores, energy), self.number - 1)
 
 
 class Beside(NamedTuple):
@@ -284,6 +254,29 @@ class Told(NamedTuple):
     def chance(self) -> float:
         """Probability that one which explains nothing is as far from zero."""
         return float(chance(self.value, self.error, self.freedom))
+
+
+def errors(
+    scores: Float[np.ndarray, "folds columns"], energy: Float[np.ndarray, "folds columns"]
+) -> Float[np.ndarray, " columns"]:
+    """Standard errors of columns' coefficients; infinite where a column has no energy.
+
+    With s_f the score of what is a column's own, all others fitted, and g_f its energy in fold f,
+    the coefficient's variance is `sum s^2 / (sum g)^2`, whatever errors are like in each fold.
+    Where a few folds have most of the energy that has few degrees of freedom, and `mean(s^2 / g) /
+    sum g`, which holds where errors are alike all along, has one a fold. The larger of both is
+    taken.
+    """
+    number, total = len(energy), energy.sum(0)
+    total = np.where(total > 0, total, np.inf)
+    some = energy > 1e-6 * total
+    if number < 2:
+        return np.full(total.shape, np.inf)
+    apart = np.sum(scores**2, axis=0) / total**2
+    alike = np.where(some, scores**2 / np.where(some, energy, 1.0), 0.0).sum(0)
+    alike = alike / np.maximum(some.sum(0), 1) / total
+    error = np.sqrt(np.maximum(apart, alike) * number / (number - 1))
+    return np.where(some.any(0), error, np.inf)
 
 
 def chance(value: ArrayLike, error: ArrayLike, freedom: int) -> np.ndarray:

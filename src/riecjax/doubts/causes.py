@@ -35,6 +35,8 @@ LOST = 0.03
 """Energy left, as a share, from which a delay may be too large to be found from where it is."""
 CLEARER = 4.0
 """Times as much energy that others leave where the cause is certain."""
+NO_DELAYS = ("zero", "gain", "drift", "term")
+"""Kinds of doubts other than delays and their courses."""
 FEWEST = 6
 """Folds of time below which their scatter says too little."""
 MOST = 3
@@ -143,7 +145,7 @@ class Causes:
     def nearest(self, most: int) -> list[Doubt]:
         """All delays; of the other doubts those that gain most by themselves, and beside the best;
         and of what drifts the zero as well."""
-        others, near = self.of("zero", "gain", "drift", "term"), self.of("delay")
+        others, near = self.of(*NO_DELAYS), self.of("delay")
         best: list[Doubt] = []
         for _ in range(2):
             gained = self._beside(best).gained
@@ -223,7 +225,7 @@ class Causes:
         beside = [doubt for doubt in chosen if doubt is not cause]
         others = [
             doubt
-            for doubt in self.of("delay", "zero", "gain", "drift", "term")
+            for doubt in self.of("delay", *NO_DELAYS)
             if doubt not in chosen
             and self.is_little(self.left([*beside, doubt]))
             and self.is_sure(doubt, beside)

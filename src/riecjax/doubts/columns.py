@@ -37,7 +37,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import accelerated
 from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model
-from riecjax.equations.noisy_columns import Columns, noisy_columns, sampled_columns
+from riecjax.equations.noisy_columns import Columns, sampled_columns
 from riecjax.equations.term import AbstractTerm
 from riecjax.estimation.estimate import Estimate
 from riecjax.folds import FOLDS, Folds
@@ -93,7 +93,7 @@ class Doubt:
     term: AbstractTerm | None = None
     equation: str = ""
     meaning: str = ""
-    element: "Element | None" = None
+    element: Element | None = None
 
     def changes(self, samples: Samples, time: Samples) -> Samples:
         """How a fault of unit size changes a signal's samples."""
@@ -177,8 +177,10 @@ class _Columns:
     criterion: AbstractCriterion
     noise: str
 
-    def rows(self, record: Record, windows: WindowSet) -> _Rows:
-        """Rows on one record."""
+    def rows(
+        self, record: Record, windows: WindowSet, copies: Sequence[tuple[Record, Record]]
+    ) -> _Rows:
+        """Rows on one record, and what the noise of its `copies` makes of them."""
         criterion, smoothness = self.criterion, self.criterion.smoothness
         read = self.plain.signals_read(record, smoothness)
         sensors = [doubt for doubt in self.doubts if read & {*doubt.signals}]
@@ -190,8 +192,11 @@ class _Columns:
         own = criterion.noisy_columns(self.plain, record).columns
         sampled, present = [np.asarray(own.values, float)], own.present
         if self.lacked is not None:
-            of = sampled_columns if self.noise != "all" else _without_shift
-            further = of(self.lacked, record, smoothness)
+            further = (
+                criterion.noisy_columns(self.lacked, record).columns
+                if self.noise == "all"
+                else sampled_columns(self.lacked, record, smoothness)
+            )
             sampled.append(np.asarray(further.values, float)[:, 1:])
             if further.present is not None:
                 present = further.present if present is None else present & further.present
@@ -218,8 +223,7 @@ class _Columns:
             rows, valid = criterion.test_function.integrals(columns, windows)
             return rows if valid is None else np.where(valid, rows, 0.0)
 
-        def noise(number: int) -> Float[np.ndarray, "columns rows"]:
-            sides = noisy_copies(record, number)
+        def noise(sides: tuple[Record, Record]) -> Float[np.ndarray, "columns rows"]:
             equations = [
                 self.plain,
                 *([self.lacked] if self.lacked and self.noise == "all" else []),
@@ -239,7 +243,7 @@ class _Columns:
         names = (*self.plain.parameters, *names)
         rows = integrated([*sampled, *changed(record), *ringing(record)])
         noisy = any(record.noise.kernels.get(name) for name in read)
-        return _Rows(names, rows, [noise(i) for i in range(PROBES[self.noise] if noisy else 0)])
+        return _Rows(names, rows, [noise(sides) for sides in copies] if noisy else [])
 
     def _residual(self, record: Record) -> Float[np.ndarray, "orders n"]:
         columns = sampled_columns(self.plain, record, self.criterion.smoothness)
@@ -301,11 +305,6 @@ class Asked(NamedTuple):
         return cls(model, estimate.criterion, values, known)
 
 
-def _without_shift(equation: Equation, record: Record, smoothness: int) -> Columns:
-    """Columns less what noise adds to their mean."""
-    return noisy_columns(equation, record, smoothness).columns
-
-
 def folds_of(
     asked: Asked,
     records: Sequence[Record],
@@ -329,6 +328,8 @@ def folds_of(
     records = [with_memories(record, model.memories) for record in records]
     windows = windows_of(criterion, records)
     fold = np.concatenate([each.fold for each in windows])
+    copies = [[noisy_copies(one, i) for i in range(PROBES[noise])] for one in records]
+    of_each = list(zip(records, (each.drawn for each in windows), copies))
     sensors = [doubt for doubt in doubts if doubt.course is not None]
     earlier: dict[str, float] = {}
     stages: list[_Rows] = []
@@ -345,8 +346,7 @@ def folds_of(
             lacked = equation.of_terms(*own) if own else None
             inside = [one for one in doubts if one.element is not None and one.equation == name]
             columns = _Columns(equation, lacked, sensors, inside, values, criterion, noise)
-            each = [columns.rows(*one) for one in zip(records, (w.drawn for w in windows))]
-            parts.append(_joined(each))
+            parts.append(_joined([columns.rows(*one) for one in of_each]))
         if parts:
             names = {doubt.name for doubt in doubts}
             stages.append(_of_stage(parts, f"{number}.", asked, earlier, names))
@@ -391,12 +391,13 @@ def _of_stage(
         free = [name for name in every if name not in known]
         return _joined([_among(part, free, known) for part in parts])
 
-    found = with_known(asked.known)
-    again = {name: earlier[name] for name in found.names if name in earlier}
-    if again and asked.base:
+    again = {name: earlier[name] for name in every if name in earlier and name not in asked.known}
+    if asked.base:
         again = {name: value for name, value in again.items() if prefix + name not in asked.base}
         found = with_known({**asked.known, **again})
-    elif again:
+    else:
+        found = with_known(asked.known)
+    if again and not asked.base:
         at = [i for i, name in enumerate(found.names, 1) if name not in doubts]
         gram = found.rows[at] @ found.rows[at].T
         for noise in found.noises:

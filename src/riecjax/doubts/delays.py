@@ -170,13 +170,11 @@ FARTHEST = 20
 
 
 class Followed(NamedTuple):
-    """The course of a delay; energy left beyond noise and that of noise, over the target's, with
-    each part at its own delay; values of parameters; the course's F-statistic against a steady one.
-    """
+    """The course of a delay; energy left beyond noise, over the target's, with each part at its own
+    delay; values of parameters; the course's F-statistic against a steady one."""
 
     course: Course
     left: float
-    noise: float
     values: dict[str, float]
     statistic: float
 
@@ -302,14 +300,9 @@ class Shifts:
         v = row(weights)
         weights[:, np.argmax(np.einsum("kf,i,kfij,j->f", weights, v, motion, v))] = 0.0
         v = row(weights)
-        left, all_left, energy = (
-            float(np.einsum("kf,i,kfij,j->", weights, side, of, side))
-            for side, of in ((v, motion), (v, samples), (np.eye(v.size)[0], samples))
-        )
-        values = dict(zip(names, (-v[1:]).tolist()))
-        return Followed(
-            course, left / energy, max(all_left - left, 0.0) / energy, values, statistic
-        )
+        left = float(np.einsum("kf,i,kfij,j->", weights, v, motion, v))
+        energy = float(np.sum(weights * samples[:, :, 0, 0]))
+        return Followed(course, left / energy, dict(zip(names, (-v[1:]).tolist())), statistic)
 
 
 def advanced(record: Record, signals: Sequence[str], count: int, reach: int) -> Record:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.doubts.causes import FEWEST, LOST, OF_NOISE, Causes
+from riecjax.doubts.causes import FEWEST, LOST, NO_DELAYS, OF_NOISE, Causes
 from riecjax.doubts.columns import Asked, Doubt, folds_of, longest_delay, plausible, sensors
 from riecjax.doubts.delays import SMALLEST, Settled, Shifts, settled
 from riecjax.doubts.modes import Ringing, best_mode
@@ -119,15 +119,15 @@ class Weighing:
         causes = self.causes
         known = {one: found for one in causes.of("zero", "gain") if (found := self._curved(one))}
         # Where something else explains what is left, no delay is too large for its column.
-        others = [one for one in causes.of("zero", "gain", "drift", "term") if causes.is_sure(one)]
-        large = causes.before > LOST * causes.folds.energy
-        large &= not any(causes.is_little(causes.left([one])) for one in others)
+        others = causes.of(*NO_DELAYS)
+        large = causes.before > LOST * causes.folds.energy and not any(
+            causes.is_sure(one) and causes.is_little(causes.left([one])) for one in others
+        )
         for one in causes.of("delay"):
             if (found := self._delay(one, large)) is not None:
                 known[one] = found
         for doubt, one in known.items():
             causes.settle(doubt, one.left * causes.folds.energy)
-        others = [doubt for doubt in causes.of("zero", "gain", "drift", "term")]
         delays = [doubt for doubt in known if doubt.kind == "delay"]
         chosen = causes.demanded([*delays, *others], sure=known)
         drifting = [doubt for doubt in chosen if doubt.kind == "drift"]
