@@ -22,6 +22,10 @@ from .criteria.test_functions import Hat as Hat
 from .criteria.windows import AllWindows as AllWindows
 from .criteria.windows import RandomWindows as RandomWindows
 from .discovery.discover import discover as discover
+from .doubts.check import check as check
+from .doubts.reading import read_record as read_record
+from .doubts.reading import read_recording as read_recording
+from .doubts.reading import read_recordings as read_recordings
 from .equations.bases import Polynomial as Polynomial
 from .equations.bases import friction as friction
 from .equations.bases import roof as roof
@@ -44,7 +48,6 @@ from .errors import IdentifiabilityError as IdentifiabilityError
 from .errors import ModelError as ModelError
 from .errors import RiecjaxError as RiecjaxError
 from .errors import SimulationError as SimulationError
-from .estimation.check import check as check
 from .estimation.constraints import Prior as Prior
 from .estimation.estimate import Estimate as Estimate
 from .estimation.identify import estimate as estimate
@@ -64,9 +67,6 @@ from .records.preparation.resampling import resample as resample
 from .records.preparation.steps import split as split
 from .records.record import Record as Record
 from .records.recording import Recording as Recording
-from .records.recording import read_record as read_record
-from .records.recording import read_recording as read_recording
-from .records.recording import read_recordings as read_recordings
 from .records.signal import Noise as Noise
 from .records.signal import Signal as Signal
 from .records.writing import write_record as write_record

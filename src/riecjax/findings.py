@@ -32,9 +32,8 @@ class FindingClass(NamedTuple):
     - `widens`: scatter of the parameters that it names is no chance; `short`: the record is short;
       `collinear`: little or nothing tells parameters apart.
     - `of_size`: of the size of errors, which a part that all of them share may make.
-    - `undo`: how its fault is taken off a record to size it: by the `"delay"`, `"gain"` or `"zero"`
-      of a pair of a signal and its derivative, or, of what is wrong with a signal by `"itself"`,
-      by its remedy; `feigned`: what such a signal seems to have as well.
+    - `undo`: its remedy takes the fault off a record, to say how far parameters move; `holds`: the
+      signal holds its value for a while, and `feigned`: what such a signal seems to have as well.
     - `disorder`: sensors of one motion do not go together, so that no term is to be looked for.
     - `step`: what to do about it, in words with the same places, and the `options` of
       `riecjax identify` that do it.
@@ -51,7 +50,8 @@ class FindingClass(NamedTuple):
     short: bool = False
     collinear: bool = False
     of_size: bool = False
-    undo: Literal["", "delay", "gain", "zero", "itself"] = ""
+    undo: bool = False
+    holds: bool = False
     feigned: bool = False
     disorder: bool = False
     step: str = ""
@@ -155,19 +155,17 @@ CODES: dict[str, FindingClass] = {
     "lost_rows": _sensors("{signals} part by a jump", disorder=True, feigned=True),
     "two_clocks": _sensors("{signals} run by two clocks", disorder=True),
     "silent_input": _sensors("{signals} says nothing"),
-    "late_signal": _sensors("{signals} is late", undo="delay", feigned=True, disorder=True),
-    "low_passed": _sensors(
-        "one of {signals} is filtered", undo="delay", feigned=True, disorder=True
-    ),
-    "wrong_gain": _sensors("{signals} do not fit each other in size", undo="gain", feigned=True),
-    "drifting_signal": _sensors("one of {signals} drifts", undo="zero"),
-    "velocity_offset": _sensors("one of {signals} has an offset", undo="zero"),
+    "late_signal": _sensors("{signals} is late", undo=True, feigned=True, disorder=True),
+    "low_passed": _sensors("one of {signals} is filtered", undo=True, feigned=True, disorder=True),
+    "wrong_gain": _sensors("{signals} do not fit each other in size", undo=True, feigned=True),
+    "drifting_signal": _sensors("one of {signals} drifts", undo=True),
+    "velocity_offset": _sensors("one of {signals} has an offset", undo=True),
     "repeated_rows": _sensors("rows stand in the recording twice"),
     "wrong_zero": _sensors("a sensor's zero is off, or a constant force is missing"),
     "constant_signal": _sensors("{signals} never varies"),
-    "stuck_sensor": _sensors("{signals} is stuck for a while", undo="itself"),
-    "clipped": _sensors("{signals} is clipped", undo="itself"),
-    "held_signal": _sensors("{signals} comes more seldom than rows", undo="itself"),
+    "stuck_sensor": _sensors("{signals} is stuck for a while", undo=True, holds=True),
+    "clipped": _sensors("{signals} is clipped", undo=True, holds=True),
+    "held_signal": _sensors("{signals} comes more seldom than rows", undo=True, holds=True),
     "outliers": _sensors("{signals} has outliers"),
     "hum": _sensors("the mains hum in {signals}"),
     "missing_samples": _sensors("samples of {signals} are missing"),

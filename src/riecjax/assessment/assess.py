@@ -27,9 +27,7 @@ from riecjax.assessment.refining import (
 from riecjax.assessment.verdict import Verdict, verdict
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.suited import criterion_for
-from riecjax.equations.model import Model, as_model, with_rests
-from riecjax.errors import DataError, IdentifiabilityError, require
-from riecjax.estimation.check import (
+from riecjax.doubts.check import (
     Check,
     check_recordings,
     check_sums,
@@ -38,6 +36,8 @@ from riecjax.estimation.check import (
     raise_if_not_carried,
     read_of,
 )
+from riecjax.equations.model import Model, as_model, with_rests
+from riecjax.errors import DataError, IdentifiabilityError, require
 from riecjax.estimation.constraints import Constraints
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.evidence import ModeTests, mode_evidence

@@ -38,18 +38,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from riecjax.criteria.windows import AbstractWindows
+from riecjax.doubts.check import Check, parameters_reading
+from riecjax.doubts.kinematics import check_kinematics
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.errors import DataError, IdentifiabilityError
-from riecjax.estimation.check import Check, parameters_reading
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, class_of
 from riecjax.leaves import size_of
-from riecjax.records import shift
-from riecjax.records.faults.derivative_pairs import compare, relations
 from riecjax.records.preparation.steps import undone
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
+from riecjax.records.relations import relations
 from riecjax.records.signal import noise_level
 from riecjax.validation.equation_errors import EquationError
 from riecjax.validation.residuals import window_errors
@@ -315,7 +315,7 @@ def causes_found(
     if silent:
         return silent
     if any(
-        (finding.about.disorder or finding.about.undo == "itself")
+        (finding.about.disorder or finding.about.holds)
         and max(finding.doubts.values(), default=finding.doubt) > SPOILT
         for finding in checked.findings
     ):
@@ -393,13 +393,12 @@ def with_doubts(
     """
     # Share by which each parameter moves once all records have no such fault.
     doubts: dict[str, dict[str, float]] = {}
-    undoable = [
-        f for f in checked.findings if f.about.undo and (f.remedy or f.about.undo != "itself")
-    ]
-    for code in {finding.code for finding in undoable}:
-        faults = [finding for finding in undoable if finding.code == code]
+    for code in {finding.code for finding in checked.findings if finding.about.undo}:
         with contextlib.suppress(DataError, IdentifiabilityError):
-            other = again([_undone(record, model, faults) for record in records])
+            taken_off = [undone(one, _remedies(checked, code, model, one)) for one in records]
+            if taken_off == [*records]:
+                continue
+            other = again(taken_off)
             doubts[code] = {
                 name: abs(float(other[name]) / float(estimate[name]) - 1)
                 for name in estimate.parameters
@@ -415,24 +414,11 @@ def with_doubts(
     return dataclasses.replace(checked, findings=findings)
 
 
-def _undone(record: Record, model: Model, faults: Sequence[Finding]) -> Record:
-    """The record without faults of one code, as pairs of a signal and its derivative show them."""
-    undo = faults[0].about.undo
-    if undo == "itself":
-        return undone(record, [fault.remedy for fault in faults])
-    for relation in relations(model.derivatives):
-        if not {*relation.names} <= {*record.arrays} or (pair := compare(record, relation)) is None:
-            continue
-        if undo == "delay":
-            late = pair.fit.delay * pair.step
-            which = pair.sides[0 if late > 0 else 1]
-            record = shift(record, dict.fromkeys(which, abs(late))) if pair.is_late else record
-        elif undo == "gain":
-            factor = pair.scaling if pair.gain_is_off else 1.0
-            record = record.with_signals({pair.suspect: factor * record.signal(pair.suspect)})
-        else:
-            name, size = pair.zeroed
-            course = np.arange(record.sample_count) / record.sample_count - 0.5
-            zero = size * (pair.offset + pair.drift * course)
-            record = record.with_signals({name: record.signal(name) - zero})
-    return record
+def _remedies(checked: Check, code: str, model: Model, record: Record) -> list[tuple[str, ...]]:
+    """What takes faults of one code off a record: what is proposed, or, where that is not for all
+    recordings, what this one shows by itself."""
+    faults = [finding for finding in checked.findings if finding.code == code]
+    if not all(finding.remedy for finding in faults):
+        pairs = [one for one in relations(model.derivatives) if {*one.names} <= {*record.arrays}]
+        faults = [one for one in check_kinematics(record, pairs) if one.code == code]
+    return [finding.remedy for finding in faults if finding.remedy]

@@ -9,10 +9,10 @@ import jax
 import numpy as np
 
 from riecjax.assessment.refining import ASK, Problem, Refinement
+from riecjax.doubts.kinematics import is_derivative
 from riecjax.equations.equation_system import EquationSystem
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.estimation.estimate import Estimate
-from riecjax.records.faults.derivative_pairs import is_motion
 from riecjax.records.record import deviation
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import (
@@ -244,7 +244,7 @@ def straight_inputs(problem: Problem, estimate: Estimate) -> "dict[str, Course]"
     return {
         name: "lines"
         for name in system.input_names
-        if not is_motion(record, name, [rate for rate in rates if rate != name])
+        if not is_derivative(record, name, [rate for rate in rates if rate != name])
     }
 
 

@@ -51,7 +51,7 @@ class Cause(NamedTuple):
     @property
     def spoils(self) -> bool:
         """Whether signals are not what sensors saw, of which all else may be a consequence."""
-        spoilt = any(finding.about.undo == "itself" for finding in self.findings)
+        spoilt = any(finding.about.holds for finding in self.findings)
         return spoilt and self.share > TRUSTED
 
     @property

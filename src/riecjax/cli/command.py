@@ -103,8 +103,8 @@ class Given:
 
         **Raises:** `DataError` naming the file, or a recording that was given twice.
         """
+        from riecjax.doubts.reading import read_recordings
         from riecjax.records.faults.rows import refuse_duplicates
-        from riecjax.records.recording import read_recordings
 
         asked = {**vars(self.take(Reading)), "model": model}
         recordings = [

@@ -18,6 +18,7 @@ from riecjax.discovery.candidate import (
     not_offered,
 )
 from riecjax.discovery.search import Question, Rejected, Step, Sums, again, extended, without_twins
+from riecjax.doubts.check import of_sensors, read_of
 from riecjax.doubts.equation_faults import Cause, demanded, finding_of
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import HiddenMode, accelerated, mode_frequency
@@ -25,7 +26,6 @@ from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.equations.motions import reading_velocities
 from riecjax.equations.term import written
 from riecjax.errors import DataError, ModelError, RiecjaxError, refuse_unknown
-from riecjax.estimation.check import of_sensors, read_of
 from riecjax.estimation.estimate import EquationFit, Estimate
 from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import plan_parameters

@@ -470,6 +470,16 @@ def delay_of(signals: tuple[str, ...], step: float) -> Doubt:
     return Doubt(f"delay of {' and '.join(signals)}", "delay", signals, course)
 
 
+def zero_of(name: str) -> Doubt:
+    """That a signal is off by a constant."""
+    return Doubt(f"zero of {name}", "zero", (name,), lambda samples, time: np.ones_like(samples))
+
+
+def drift_of(name: str) -> Doubt:
+    """That a signal drifts by one along a record."""
+    return Doubt(f"drift of {name}", "drift", (name,), lambda samples, time: time / np.ptp(time))
+
+
 def courses_of(signals: tuple[str, ...], record: Record) -> Iterator[Doubt]:
     """That their delay changes along a record, steadily or by a jump: by one second over it."""
     step, name = float(record.time_step), " and ".join(signals)
@@ -492,18 +502,12 @@ def sensors(model: Model, records: Sequence[Record], read: set[str]) -> list[Dou
         found += courses_of(signals, records[0]) if len(records) == 1 else []
     known = {t.signal for e in model.equations for t in e.terms if not t.parameters}
     for name in sorted(read, key=lambda name: (name not in known, name)):
-        found.append(
-            Doubt(f"zero of {name}", "zero", (name,), lambda samples, time: np.ones_like(samples))
-        )
+        found.append(zero_of(name))
         # That of a whole target scales the parameters.
         if not _is_target(model, name):
             found.append(Doubt(f"gain of {name}", "gain", (name,), lambda samples, time: samples))
         if len(records) == 1:
-            found.append(
-                Doubt(
-                    f"drift of {name}", "drift", (name,), lambda samples, time: time / np.ptp(time)
-                )
-            )
+            found.append(drift_of(name))
     return found
 
 

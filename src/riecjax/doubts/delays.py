@@ -25,11 +25,12 @@ from riecjax import tails
 from riecjax.doubts.causes import CLEARER, LEVEL, OF_NOISE
 from riecjax.doubts.columns import Asked, Doubt, folds_of, longest_delay
 from riecjax.errors import DataError
+from riecjax.findings import option_for
 from riecjax.folds import Folds, solved
-from riecjax.records.faults.derivative_pairs import Course, changing
 from riecjax.records.preparation.filtering import unfilter
 from riecjax.records.preparation.resampling import shift
 from riecjax.records.record import Record
+from riecjax.records.time_base import PPM
 
 TURNS = 8
 """Times that a delay is undone and taken again at the most."""
@@ -169,6 +170,82 @@ FARTHEST = 20
 """Samples to either side of the delay of all that those of parts are looked for."""
 
 
+class Course(NamedTuple):
+    """How a delay changes along the record.
+
+    **Fields:** `kind`: "steady", "clocks" for one that grows evenly, "rows" for a sudden change;
+    `change` over the record in samples and its standard error; `place` of a sudden change, first
+    and last sample; `first`, the delay at the start.
+    """
+
+    kind: str = "steady"
+    change: float = 0.0
+    error: float = 0.0
+    place: tuple[int, int] = (0, 0)
+    first: float = 0.0
+
+    def in_time(self, start: float, stop: float) -> tuple[str, str]:
+        """Options for the part with the least delay, of those before and after a sudden change.
+
+        What lost rows is early from there on; what agrees with it there is no better for it.
+        """
+        before = abs(self.first) <= abs(self.first + self.change)
+        return ("--to", f"{start:.7g}") if before else ("--from", f"{stop:.7g}")
+
+    def by_one_clock(
+        self, late: Sequence[str], ppm: float, step: float, start: float
+    ) -> tuple[str, ...]:
+        """Options that bring what falls behind by so many millionths to the time of the others.
+
+        Clocks are set from the recording's first sample on, `start` seconds before what was
+        looked at.
+        """
+        first = self.first * step - PPM * ppm * start
+        shifted = late if abs(first) > LEAST["clocks"] * step else ()
+        return (
+            *option_for("--shift", shifted, f"{first:.4g}"),
+            *option_for("--clock", late, f"{ppm:.5g}"),
+        )
+
+    @property
+    def way(self) -> str:
+        """What the signal does whose delay changes evenly."""
+        return "falls behind" if self.change > 0 else "gets ahead of"
+
+    @property
+    def lasts(self) -> str:
+        """The delay at the start and at the end, in words."""
+        return f"from {self.first:.3g} to {self.first + self.change:.3g} samples"
+
+
+def changing(delays: Float[np.ndarray, "4 parts"], edges: Sequence[int]) -> tuple[Course, float]:
+    """The course that explains the delays best, and the chi-square that it leaves."""
+    first, last = delays[2:]
+    ones, size = np.ones(first.size), first.size
+    left, coefficients, errors = _left(delays, np.array([ones, 0.5 * (first + last) / edges[-1]]))
+    best = Course("clocks", coefficients[1], errors[1], (0, edges[-1]), coefficients[0]), left
+    # The change lies between two parts, or within one, which then says nothing; two are behind it.
+    for k, stop in ((k, k + within) for k in range(2, size - 1) for within in (0, 1)):
+        if stop <= size - 2:
+            rows = np.array([ones, np.arange(size) >= stop, *np.eye(size)[k:stop]])
+            left, coefficients, errors = _left(delays, rows)
+            if left + 4 < best[1]:
+                place = int(first[stop - 1]), int(last[k])
+                best = Course("rows", coefficients[1], errors[1], place, coefficients[0]), left
+    return best
+
+
+def _left(
+    delays: np.ndarray, rows: np.ndarray
+) -> tuple[float, Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
+    """Chi-square that a weighted least-squares fit leaves; its coefficients and their errors."""
+    values, errors = delays[:2]
+    inverse = np.linalg.pinv((rows / errors).T)
+    coefficients = inverse @ (values / errors)
+    left = (values - coefficients @ rows) / errors
+    return float(left @ left), coefficients, np.sqrt(np.sum(inverse**2, axis=1))
+
+
 class Followed(NamedTuple):
     """The course of a delay; energy left beyond noise, over the target's, with each part at its own
     delay; values of parameters; the course's F-statistic against a steady one."""
@@ -225,7 +302,7 @@ class Shifts:
         """
         near = self._among(range(middle - 1, middle + 2))
         found = near is not None and self._changes(near, SLIGHT)
-        if not found and large:
+        if not found:
             # Parts whose delays are far from the middle one are not told by three next to it.
             far = self._among(self.every)
             found = far is not None and self._changes(far, 1.0)

@@ -14,15 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.doubts.causes import FEWEST, LOST, NO_DELAYS, OF_NOISE, Causes
+from riecjax.doubts.causes import CLEARER, FEWEST, LOST, NO_DELAYS, OF_NOISE, Causes
 from riecjax.doubts.columns import Asked, Doubt, folds_of, longest_delay, plausible, sensors
-from riecjax.doubts.delays import SMALLEST, Settled, Shifts, settled
+from riecjax.doubts.delays import SMALLEST, Course, Settled, Shifts, settled
 from riecjax.doubts.modes import Ringing, best_mode
 from riecjax.equations import expressions
 from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, line_taken_off, option_for
-from riecjax.records.faults.derivative_pairs import Course
 from riecjax.records.record import Record
 from riecjax.summaries.task import signals_read
 
@@ -67,41 +66,30 @@ class Cause(NamedTuple):
 
 @dataclass(eq=False)
 class Weighing:
-    """The doubts of a model's estimate on records that may be a cause; signals whose delay may be
-    `changing` along a record."""
+    """What is `asked`, on records: doubts that may be a cause, as `causes`; signals whose delay may
+    be `changing` along a record; whether a mode may be the cause where no doubt is, `ringing`."""
 
-    model: Model
-    records: Sequence[Record]
-    estimate: Estimate
     asked: Asked
+    records: Sequence[Record]
     causes: Causes
-    changing: Collection[tuple[str, ...]]
+    changing: Collection[tuple[str, ...]] = ()
+    ringing: bool = False
 
     @classmethod
     def of(
         cls,
-        model: Model,
+        asked: Asked,
         records: Sequence[Record],
-        estimate: Estimate,
-        lacked: Callable[[Model, Sequence[Record]], Sequence[Doubt]],
-    ) -> "Weighing | None":
-        """Of an estimate; `None` of hidden elements, parameters of each recording, windows drawn
-        at random, and records too short for blocks to scatter."""
-        criterion = estimate.criterion
-        own = any(estimate.table[name].recording is not None for name in estimate.parameters)
-        if model.has_hidden or own or criterion.all_windows is None or estimate.summary is None:
-            return None
-        if longest_delay(records) < 3 or int(estimate.block_count) < FEWEST:
-            return None
-        read = {n for each in records for n in signals_read(model, each, criterion, summed=True)}
-        doubts = [*sensors(model, records, read), *lacked(model, records)]
-        asked, sizes = Asked.of(model, estimate), plausible(doubts, records)
-        # Noise is taken off those alone that may be a cause.
+        doubts: Sequence[Doubt],
+        ringing: bool = False,
+    ) -> "Weighing":
+        """Noise is taken off those doubts alone that may be a cause."""
+        sizes = plausible(doubts, records)
         rough = Causes(folds_of(asked, records, doubts, "plain"), doubts, sizes)
         asked = asked._replace(base=rough.base)
         if not rough.is_promising:
             rough.offered = []
-            return cls(model, records, estimate, asked, rough, ())
+            return cls(asked, records, rough)
         fixed = asked.resting_on_earlier
         near = [doubt for doubt in rough.nearest(NEAR) if doubt.equation not in fixed]
         folds = folds_of(asked, records, near)
@@ -112,7 +100,7 @@ class Weighing:
             if rough.is_sure(one) or rough.is_sure(one, delays.get(one.signals, []))
         }
         causes = Causes(folds, near, sizes, rough.trials)
-        return cls(model, records, estimate, asked, causes, changing)
+        return cls(asked, records, causes, changing, ringing)
 
     def found(self) -> list[Cause]:
         """What the data demand; nothing where nothing explains what is left."""
@@ -133,10 +121,18 @@ class Weighing:
         drifting = [doubt for doubt in chosen if doubt.kind == "drift"]
         chosen = [doubt for doubt in chosen if not causes.is_zero_of(doubt, drifting)]
         if not chosen:
-            one = self._followed(known) or self._mode()
-            return [one] if one is not None and self._matters(one) else []
-        made = (self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen)
-        return [cause for cause in made if self._matters(cause)]
+            one = self._followed(known) or (self._mode() if self.ringing else None)
+            return [] if one is None else [one]
+        if [doubt.kind for doubt in chosen] == ["delay"] and self._is_changing(chosen[0]):
+            one = self._followed(known)
+            if one is not None and CLEARER * one.left**2 < causes.rms(causes.left(chosen)) ** 2:
+                return [one]
+        return [self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen]
+
+    def _is_changing(self, doubt: Doubt) -> bool:
+        """Whether a delay may change along the record, and a steady one leaves more than noise."""
+        left = self.causes.left([doubt])
+        return doubt.signals in self.changing and left > OF_NOISE * self.causes.noise
 
     def _near(self, doubt: Doubt) -> bool:
         """Whether a doubt may be a cause, as far as its column tells."""
@@ -248,19 +244,9 @@ class Weighing:
         found: dict[str, float] = {}
         for column, value in before.items():
             name = column.partition(".")[2]
-            if name in self.estimate.parameters and name not in found and value and column in after:
+            if name in self.asked.values and name not in found and value and column in after:
                 found[name] = after[column] / value - 1
         return found
-
-    def _matters(self, cause: Cause) -> bool:
-        """Whether it moves some parameter by more than chance does; a term, or what leaves much,
-        matters in any case."""
-        if cause.doubt.term is not None or cause.before > NOTABLE:
-            return True
-        estimate = self.estimate
-        errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors, float)))
-        changes = {name: share * float(estimate[name]) for name, share in cause.moved.items()}
-        return any(abs(change) > MOVES * errors[name] for name, change in changes.items())
 
 
 def nothing(model: Model, records: Sequence[Record]) -> Sequence[Doubt]:
@@ -280,8 +266,28 @@ def demanded(
 
     **Raises:** as [`summarise`][riecjax.summarise].
     """
-    weighing = Weighing.of(model, records, estimate, lacked)
-    return [] if weighing is None else weighing.found()
+    criterion = estimate.criterion
+    own = any(estimate.table[name].recording is not None for name in estimate.parameters)
+    # Nothing is told of hidden elements, parameters of each recording, windows drawn at random, and
+    # records too short for blocks to scatter.
+    if model.has_hidden or own or criterion.all_windows is None or estimate.summary is None:
+        return []
+    if longest_delay(records) < 3 or int(estimate.block_count) < FEWEST:
+        return []
+    read = {n for each in records for n in signals_read(model, each, criterion, summed=True)}
+    doubts = [*sensors(model, records, read), *lacked(model, records)]
+    weighing = Weighing.of(Asked.of(model, estimate), records, doubts, ringing=True)
+    return [cause for cause in weighing.found() if _matters(cause, estimate)]
+
+
+def _matters(cause: Cause, estimate: Estimate) -> bool:
+    """Whether it moves some parameter by more than chance does; a term, or what leaves much,
+    matters in any case."""
+    if cause.doubt.term is not None or cause.before > NOTABLE:
+        return True
+    errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors, float)))
+    moved = {n: share * float(estimate[n]) for n, share in cause.moved.items() if n in errors}
+    return any(abs(change) > MOVES * errors[name] for name, change in moved.items())
 
 
 class _Said(NamedTuple):
@@ -295,25 +301,38 @@ class _Said(NamedTuple):
     step: str = ""
 
 
-def finding_of(cause: Cause, model: Model, records: Sequence[Record]) -> Finding:
-    """What is told of a cause, seen in records of a model."""
-    record = records[0]
+class Equated(NamedTuple):
+    """What a signal is held against, in words: which `says` otherwise, and `leaves` so much `of`
+    what it explains."""
+
+    says: str = "the equation says"
+    leaves: str = "the model leaves"
+    of: str = "the target"
+
+
+EQUATION = Equated()
+
+
+def finding_of(
+    cause: Cause, model: Model, records: Sequence[Record], against: Equated = EQUATION
+) -> Finding:
+    """The finding that a cause makes, seen in records of a model."""
     names = cause.doubt.signals or tuple(n for one in cause.same for n in one.signals)
     if cause.doubt.term is not None and not names:
         names = expressions.signals_read(cause.doubt.term.of)
     if isinstance(cause.doubt.element, Ringing):
         names = (cause.doubt.element.on,)
     if cause.course.kind != "steady":
-        said = _of_course(cause, record)
+        said = _of_course(cause, records[0])
     elif cause.doubt.kind == "delay" and cause.undone is not None:
-        said = _of_delay(cause.undone)
+        said = _of_delay(cause.undone, against.says)
     else:
-        said = _of_size(cause, model, record)
+        said = _of_size(cause, model, records[0], against.says)
     most = max(cause.moved, key=lambda name: abs(cause.moved[name]), default="")
     moves = f", and {most} changes by {100 * cause.moved[most]:+.2g} %" if most else ""
     way = "taken off" if cause.doubt.signals else "let in"
     message = (
-        f"{said.what}. With that {way}, the model leaves {100 * cause.left:.2g} % of the target "
+        f"{said.what}. With that {way}, {against.leaves} {100 * cause.left:.2g} % of {against.of} "
         f"beyond noise instead of {100 * cause.before:.2g} %{moves}."
     )
     remedy, step = said.remedy, said.step
@@ -344,7 +363,7 @@ def described(doubt: Doubt) -> str:
     return f"a {doubt.name}"
 
 
-def _of_delay(delay: Settled) -> _Said:
+def _of_delay(delay: Settled, says: str) -> _Said:
     names = " and ".join(delay.signals)
     milliseconds = f"{1e3 * abs(delay.size):.3g} ms"
     size = f"{milliseconds} ({abs(delay.samples):.3g} samples, +-{1e3 * delay.reach:.2g} ms)"
@@ -359,9 +378,9 @@ def _of_delay(delay: Settled) -> _Said:
             f"Undo the low-pass of {names}",
         )
     remedy = option_for("--shift", delay.signals, f"{delay.size:.4g}")
-    way = "earlier than the equation says: all others are late, or low-passed"
+    way = f"earlier than {says}: all others are late, or low-passed"
     if delay.size > 0:
-        way = f"later than the equation says{'' if delay.certain else ', or low-passed'}"
+        way = f"later than {says}{'' if delay.certain else ', or low-passed'}"
     return _Said(
         "late_signal",
         f"{names} come{'s' * (len(delay.signals) == 1)} {size} {way}",
@@ -404,7 +423,7 @@ def _of_course(cause: Cause, record: Record) -> _Said:
     )
 
 
-def _of_zero(cause: Cause, model: Model, record: Record) -> _Said:
+def _of_zero(cause: Cause, model: Model, record: Record, says: str) -> _Said:
     """The zero of a sensor, and the constant that it may be as well."""
     doubt, size = cause.doubt, cause.size
     zeros = [one.signals[0] for one in (doubt, *cause.same) if one.kind == "zero"]
@@ -416,7 +435,7 @@ def _of_zero(cause: Cause, model: Model, record: Record) -> _Said:
         )
     else:
         amount = f"{size:.3g} {record.signal(zeros[0]).unit}".rstrip()
-        what = f"{zeros[0]} reads {amount} more than the equation says"
+        what = f"{zeros[0]} reads {amount} more than {says}"
     known = [t for e in model.equations for t in e.terms if t.signal and not t.parameters]
     inputs = [str(t.signal) for t in known if not t.derivative and t.signal in zeros]
     if inputs:
@@ -447,11 +466,11 @@ def _of_mode(equation: str, mode: Ringing, mass: float) -> _Said:
     )
 
 
-def _of_size(cause: Cause, model: Model, record: Record) -> _Said:
+def _of_size(cause: Cause, model: Model, record: Record, says: str) -> _Said:
     """A zero, a gain, a drift, or a term that the model lacks."""
     doubt, size = cause.doubt, cause.size
     if any(one.kind == "zero" for one in (doubt, *cause.same)):
-        return _of_zero(cause, model, record)
+        return _of_zero(cause, model, record, says)
     if isinstance(doubt.element, Ringing):
         return _of_mode(doubt.equation, doubt.element, size)
     if doubt.term is not None:
@@ -471,7 +490,7 @@ def _of_size(cause: Cause, model: Model, record: Record) -> _Said:
         step = f"Scale {name}"
         return _Said(
             "wrong_gain",
-            f"{name} is {1 + size:.4g} times what the equation says",
+            f"{name} is {1 + size:.4g} times what {says}",
             f"{step} ({shlex.join(remedy)}).",
             remedy,
             step,

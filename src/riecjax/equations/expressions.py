@@ -17,8 +17,8 @@ import numpy as np
 from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.errors import ModelError, users_code
-from riecjax.records.faults.derivative_pairs import Relation
 from riecjax.records.record import Record, Signals
+from riecjax.records.relations import Relation
 from riecjax.records.signal import Signal, both
 
 Expression = str | Callable[[Signals], Array]

@@ -42,7 +42,7 @@ from riecjax.records.record import Record
 from riecjax.shows import Shown
 
 if TYPE_CHECKING:
-    from riecjax.records.faults.derivative_pairs import Relation
+    from riecjax.records.relations import Relation
     from riecjax.settings import Elements
 
 

@@ -1,5 +1,3 @@
-from .check import Check as Check
-from .check import recording_findings as recording_findings
 from .estimate import Search as Search
 from .evidence import ModeEvidence as ModeEvidence
 from .evidence import mode_evidence as mode_evidence

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from riecjax.errors import DataError, MissingSignalError, ModelError
 from riecjax.models.quarter_car.reconstruction import ROUGHNESS, reconstructed
 from riecjax.records.record import Record
-from riecjax.records.recording import read_record
+from riecjax.records.recording import Aligned, only_recording
+from riecjax.settings import Reading
 from riecjax.simulation.inputs import band_limited_noise, pothole, robson_road
 
 DEFAULT_RATE = 200.0
@@ -40,7 +41,8 @@ def drive(
                 f"unknown input '{source}'; give {', '.join(DEFAULT_DURATION)} or a file."
             )
         try:
-            record = read_record(source).select(*input_names)
+            record = only_recording(source, Reading(), lambda record, *_: Aligned(record)).record
+            record = record.select(*input_names)
         except MissingSignalError as error:
             raise DataError(
                 f"{source}: there is no signal '{error.signal}', which drives the model; there "

@@ -1,4 +1,3 @@
-from .faults.derivative_pairs import align as align
 from .faults.hum import notch as notch
 from .faults.signals import check_signals as check_signals
 from .faults.signals import leave_out as leave_out

@@ -5,28 +5,23 @@ import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from riecjax.errors import DataError, MissingSignalError, ModelError, printable, require
 from riecjax.findings import Finding
-from riecjax.records.faults.derivative_pairs import (
-    align,
-    declared_pairs,
-    relations,
-    without_computed,
-)
 from riecjax.records.faults.rows import duplicates, without_repetitions
-from riecjax.records.faults.signals import holding
 from riecjax.records.noise_judgement import given_noise
+from riecjax.records.preparation.filtering import without_computed
 from riecjax.records.preparation.steps import halves, idle_cuts, prepare, split
 from riecjax.records.reading.channels import LONGEST_MESSAGE, Channels, read_channels
 from riecjax.records.reading.selection import CHOOSE, Parts, record_from_channels, recordings_in
 from riecjax.records.reading.times import TIME_COLUMNS, listed
 from riecjax.records.reading.units import same, split_unit
 from riecjax.records.record import Record, Records, as_records
-from riecjax.settings import Reading, taking
+from riecjax.records.relations import Pairs, declared_pairs
+from riecjax.settings import Reading
 from riecjax.shows import Drawn
 
 
@@ -126,34 +121,26 @@ def as_recordings(records: Records) -> list[Recording]:
     ]
 
 
-@taking(Reading)
-def read_record(path: str | os.PathLike[str], settings: Reading) -> Record:
-    """Read a record from a file of any format that [`read_recording`][] reads.
+class Aligned(NamedTuple):
+    """A record, what was shifted in words, and what was found amiss and put right."""
 
-    With the same keywords and errors, but only the signals.
-    """
-    return read_recording(path, **vars(settings)).record
+    record: Record
+    words: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
-@taking(Reading)
-def read_recording(path: str | os.PathLike[str], settings: Reading) -> Recording:
-    """Read a recording from a text file, Excel, NPZ, MAT, HDF5, JSON, Parquet, MDF, TDMS or a bag.
+Aligning: TypeAlias = Callable[[Record, Pairs, str | Sequence[str]], Aligned]
+"""What brings late signals of a record forward, by pairs of a signal and its derivative, as it is
+asked to."""
 
-    Time is a column in seconds, called `t` or `time` or renamed to `t`; where the file states
-    another unit of time (`time [ms]`) it is converted. Signals are converted to SI from the units
-    that the file states, or `units` does.
-    Without `rename` every column as long as the time is a signal. [`read_channels`][] lists what a
-    file holds, and the readers of the formats say how columns are named in files that hold more.
 
-    **Arguments:** `model`, a `Model`, whose units the signals get, and which says which signals are
-    derivatives of others, to be formed if the file lacks them; and the keywords of
-    [`Select`][riecjax.settings.Select], [`Read`][riecjax.settings.Read] and
-    [`Prepare`][riecjax.settings.Prepare].
+def only_recording(
+    path: str | os.PathLike[str], settings: Reading, aligning: Aligning
+) -> Recording:
+    """The recording that a file holds.
 
-    **Raises:** `DataError` if the file cannot be read, holds several recordings and no `part` is
-    chosen, a named column is absent, the samples do not make a record (see
-    [`Record.from_samples`][]), or a step is not possible; `ModelError` for a formula that is not
-    understood.
+    **Raises:** `DataError` if it holds several and no part is chosen, and as
+    [`every_recording`][riecjax.records.recording.every_recording].
     """
     parts = _held(path, settings.part or ", ".join(settings.parts), settings)
     if len(parts.held) > 1:
@@ -162,26 +149,21 @@ def read_recording(path: str | os.PathLike[str], settings: Reading) -> Recording
                 f"it holds {len(parts.held)} recordings: {listed(parts.held)}; read all of them "
                 f"with rx.read_recordings, or {CHOOSE}."
             )
-    return _recordings(path, parts, settings)[0]
+    return _recordings(path, parts, settings, aligning)[0]
 
 
-@taking(Reading)
-def read_recordings(path: str | os.PathLike[str], settings: Reading) -> list[Recording]:
-    """Read all recordings that a file holds, each as [`read_recording`][] reads one.
+def every_recording(
+    path: str | os.PathLike[str], settings: Reading, aligning: Aligning
+) -> list[Recording]:
+    """All recordings that a file holds.
 
-    Elements of a cell or an array of structures of MATLAB, groups with the same channels in HDF5
-    and TDMS, sheets with the same columns: `part` of each recording says which it is, as
-    `runs(2)`. Columns are called as if a part were alone in its file: `x`, not `runs(2).x`. A
-    part of which no record can be made is left out, with a finding; a file that is one recording
-    gives a list of one.
-
-    **Arguments** and errors as of [`read_recording`][]; of errors of parts, the first is raised
-    where none can be read.
+    **Raises:** `DataError` if the file cannot be read or makes no record, `ModelError` for a
+    formula that is not understood.
     """
     return [
         recording
         for part in settings.parts or [settings.part or ""]
-        for recording in _recordings(path, _held(path, part, settings), settings)
+        for recording in _recordings(path, _held(path, part, settings), settings, aligning)
     ]
 
 
@@ -195,13 +177,15 @@ def _held(path: str | os.PathLike[str], part: str, settings: Reading) -> Parts:
         return recordings_in(channels, settings.rename.values(), part)
 
 
-def _recordings(path: str | os.PathLike[str], parts: Parts, settings: Reading) -> list[Recording]:
+def _recordings(
+    path: str | os.PathLike[str], parts: Parts, settings: Reading, aligning: Aligning
+) -> list[Recording]:
     """The parts that can be read; the first tells of the others."""
     read: list[Recording] = []
     errors: dict[str, DataError] = {}
     for name, channels in parts.held.items():
         try:
-            read.append(_recording(path, name, channels, settings))
+            read.append(_recording(path, name, channels, settings, aligning))
         except DataError as error:
             errors[name] = error
     if not read:
@@ -217,7 +201,11 @@ def _recordings(path: str | os.PathLike[str], parts: Parts, settings: Reading) -
 
 
 def _recording(
-    path: str | os.PathLike[str], part: str, channels: Channels, settings: Reading
+    path: str | os.PathLike[str],
+    part: str,
+    channels: Channels,
+    settings: Reading,
+    aligning: Aligning,
 ) -> Recording:
     model = settings.model
     file = Path(path).name
@@ -264,12 +252,7 @@ def _recording(
         record, first_steps = prepare(record, {}, before)
         pairs, given = declared_pairs(model), given_noise(settings.noise, record.arrays).kernels
         record, found = without_computed(record, pairs, given)
-        aligned = align(record, pairs, settings.align)
-        # What a sensor holds for a while is no delay, and is found no more once it is shifted.
-        late = {name for finding in aligned.findings for name in finding.signals}
-        if settings.align == "auto" and (held := holding(record, late)):
-            others = [one for one in relations(pairs) if not held & {*one.names}]
-            aligned = align(record, others)
+        aligned = aligning(record, pairs, settings.align)
         record, last_steps = prepare(aligned.record, getattr(model, "derived", {}), after)
     findings = [
         *(Finding("time_unit_doubtful", why, doubt=1.0) for why in filter(None, [selected.doubt])),

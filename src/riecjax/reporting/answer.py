@@ -36,7 +36,7 @@ Number = float | None
 Ends = tuple[Number, Number]
 if TYPE_CHECKING:
     from riecjax.assessment.verdict import Cause, Verdict
-    from riecjax.estimation.check import Check
+    from riecjax.doubts.check import Check
     from riecjax.estimation.stages import EquationFit, StageSolution
 
 P = TypeVar("P")

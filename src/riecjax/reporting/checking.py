@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from rich.console import Console
 
-from riecjax.estimation.check import Check
+from riecjax.doubts.check import Check
 from riecjax.leaves import finite, told
 from riecjax.records.noise_judgement import noise_entries
 from riecjax.records.recording import Recording, common_steps

@@ -17,8 +17,8 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
 from riecjax.equations.model import AtRest, Model, as_model, with_rests
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
-from riecjax.records.faults.derivative_pairs import without_computed
 from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
+from riecjax.records.preparation.filtering import without_computed
 from riecjax.records.reading.units import contradict
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording, as_recordings

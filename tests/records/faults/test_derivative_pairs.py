@@ -12,15 +12,10 @@ import pytest
 
 import riecjax as rx
 from riecjax.equations.expressions import relation_of
-from riecjax.records import align
+from riecjax.doubts import align
+from riecjax.doubts.kinematics import Compared, check_kinematics, compare
+from riecjax.records.relations import Relation, declared_pairs
 from riecjax.records.derived import derived
-from riecjax.records.faults.derivative_pairs import (
-    Pair,
-    Relation,
-    check_derivatives,
-    compare,
-    declared_pairs,
-)
 from riecjax.records.preparation.filtering import unfilter
 from riecjax.records.preparation.resampling import set_clocks, shift
 from riecjax.records.preparation.steps import cut
@@ -73,7 +68,7 @@ def recorded(
 def test_what_fits_raises_no_alarm(relation, noise):
     for seed, highest, count in itertools.product(range(3), (0.7, 4.0, 15.0), (200, COUNT)):
         record = recorded(Motion(relation, seed, highest), noise, count, seed)
-        assert check_derivatives(record, [relation]) == []
+        assert check_kinematics(record, [relation]) == []
 
 
 LOST = np.where(TIME < 13, TIME, TIME + 3 * STEP)
@@ -138,20 +133,20 @@ def test_a_fault_is_named_and_undone_by_what_is_proposed(relation, name, fault):
     (code,), act = FAULTS[fault][0].args, FAULTS[fault][1]
     motion = Motion(relation, 3, 8.0 if relation is PLAIN else 15.0)
     record = recorded(motion, faulty={name: act(motion, name)})
-    (finding,) = check_derivatives(record, [relation])
+    (finding,) = check_kinematics(record, [relation])
     assert finding.code == code
     assert name in finding.signals
     if code in ("late_signal", "low_passed") or (relation is SUM and "gain" in code):
         assert finding.signals == (name,)
     assert 0 < finding.doubt <= 1
-    assert [f.code for f in check_derivatives(undone(record, finding.remedy), [relation])] == []
+    assert [f.code for f in check_kinematics(undone(record, finding.remedy), [relation])] == []
     if code == "late_signal":
         aligned = align(record, [relation])
         assert [found.signals for found in aligned.findings] == [(name,)]
-        assert check_derivatives(aligned.record, [relation]) == []
+        assert check_kinematics(aligned.record, [relation]) == []
 
 
-def compared(record: rx.Record) -> Pair:
+def compared(record: rx.Record) -> Compared:
     pair = compare(record, PLAIN)
     assert pair is not None
     return pair
@@ -210,14 +205,14 @@ def test_gaps_and_spikes_hide_no_delay():
 )
 def test_nothing_breaks_it(x, v):
     record = rx.Record.from_samples({"x": x, "v": v}, time_step=STEP)
-    for finding in check_derivatives(record, [("x", "v"), ("v", "x")]):
+    for finding in check_kinematics(record, [("x", "v"), ("v", "x")]):
         assert {*finding.signals} == {"x", "v"}
         assert 0 < finding.doubt <= 1
 
 
 def test_what_was_computed_from_the_signal_is_not_compared():
     one = rx.Noise({"x": {"x": np.ones(1)}, "v": {"x": np.array([0.5, 0.0, -0.5])}})
-    assert check_derivatives(late(1.0, 0.01).with_noise(one), [("x", "v")]) == []
+    assert check_kinematics(late(1.0, 0.01).with_noise(one), [("x", "v")]) == []
 
 
 def test_what_moves_between_samples_is_not_integrated():
@@ -225,7 +220,7 @@ def test_what_moves_between_samples_is_not_integrated():
     road, wheel = rng.standard_normal(COUNT), Motion(SUM).at("x3", TIME)
     held = np.concatenate([[0.0], np.cumsum(STEP * (road - wheel))[:-1]])
     record = rx.Record.from_samples({"x1": held, "v_r": road, "x3": wheel}, time_step=STEP)
-    assert check_derivatives(record, [Relation("x1", (("v_r", 1.0), ("x3", -1.0)))]) == []
+    assert check_kinematics(record, [Relation("x1", (("v_r", 1.0), ("x3", -1.0)))]) == []
 
 
 def test_models_declare_relations_by_their_rates():

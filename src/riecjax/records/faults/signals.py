@@ -464,7 +464,7 @@ def check_signals(
 def holding(record: Record, names: Collection[str]) -> set[str]:
     """Those of these signals that hold a value for a while, stuck, at a limit or by a message."""
     signals = Signals.of(record, names) if names else Signals({}, ())
-    faults = [each for each in FAULTS if class_of(each.code).undo == "itself"]
+    faults = [each for each in FAULTS if class_of(each.code).holds]
     return {n for n in signals.names for each in faults if any(each.findings(n, signals))}
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from riecjax.errors import DataError
+from riecjax.records.derived import derived
 from riecjax.records.faults.hum import notch
 from riecjax.records.faults.signals import leave_out
 from riecjax.records.linear_op import Step, words_of
@@ -22,8 +23,9 @@ from riecjax.records.preparation.filtering import (
 )
 from riecjax.records.preparation.resampling import set_clocks, shift, upsample
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 from riecjax.records.time_base import STEP_TOLERANCE
-from riecjax.settings import Prepare
+from riecjax.settings import Prepare, Read
 
 
 def halves(preparation: Prepare) -> tuple[Prepare, Prepare]:
@@ -46,9 +48,9 @@ def idle_cuts(preparation: Prepare, record: Record) -> dict[str, str]:
 
 
 def prepare(
-    record: Record, derived: Mapping[str, str], preparation: Prepare
+    record: Record, derivatives: Mapping[str, str], preparation: Prepare
 ) -> tuple[Record, list[str]]:
-    """Take the steps; add derivatives (`derived`: new signal to its signal) that are still missing.
+    """Take the steps; add `derivatives` (new signal to its signal) that are still missing.
 
     Those are added before the record is thinned, which would coarsen their differences: of a noisy
     sensor's signal by local polynomials; of what is filtered already, is a derivative itself or has
@@ -85,13 +87,13 @@ def prepare(
         ops = dict(step.ops(record, *asked))
         record = record.through(ops)
         words += words_of(ops)
-    for name, of in derived.items():
+    for name, of in derivatives.items():
         if name in record.arrays:
             continue
         record = judged(record, "auto", of)
         record.signal(of)  # without it there is a helpful error, and no noise to look up
         ops, kernel = dict(differentiate.ops(record, of, name)), record.noise.kernels[of].get(of)
-        if of not in derived and kernel is not None and kernel.shape[-1] == 1:
+        if of not in derivatives and kernel is not None and kernel.shape[-1] == 1:
             with contextlib.suppress(DataError):  # too short for them
                 ops = {name: local_slope(record, of)}
         record = record.through(ops)
@@ -105,14 +107,20 @@ def prepare(
 
 
 def undone(record: Record, remedies: Iterable[tuple[str, ...]]) -> Record:
-    """A record prepared as these options of the command line say, each a name and what it takes."""
+    """A record as these options of the command line make it, names and what each takes in turn."""
     said: dict[str, dict[str, None]] = {}
-    for option, text in remedies:
+    for option, text in (pair for remedy in remedies for pair in zip(remedy[::2], remedy[1::2])):
         said.setdefault(option, {})[text] = None
-    options = Prepare.options().items()
+    options = {**Read.options(), **Prepare.options()}.items()
     given = {
         name: option.parsed(*said[option.flag]) for name, option in options if option.flag in said
     }
+    factors, formulas = given.pop("scale", {}), given.pop("derive", {})
+    record = record.with_signals({n: by * record.signal(n) for n, by in factors.items()})
+    columns = {n: s.with_nan for n, s in record.by_name.items()} | {"t": np.asarray(record.time)}
+    for name, formula in formulas.items():
+        unit = record.signal(name).unit
+        record = record.with_signals({name: Signal.of(derived(formula, columns), unit)})
     return prepare(record, {}, Prepare(**given))[0]
 
 

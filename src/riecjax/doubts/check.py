@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.doubts.kinematics import check_kinematics
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
@@ -23,7 +24,6 @@ from riecjax.estimation.excitation import (
 from riecjax.estimation.hidden_modes import linearised
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.findings import Finding
-from riecjax.records.faults.derivative_pairs import check_derivatives
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording, explaining_errors, findings_of
@@ -211,10 +211,10 @@ def of_sensors(model: Model, recording: Recording, read: Collection[str]) -> lis
     of_signals = check_signals(record, read, computed=computed, pairs=pairs)
     # A value that is held, or cut off, is no gain: to scale it makes the rest wrong as well.
     # Nor are rows lost where one signal alone jumps, or is it late for what it held.
-    held = {n for f in of_signals if f.about.undo == "itself" for n in f.signals}
+    held = {n for f in of_signals if f.about.holds for n in f.signals}
     of_pairs = [
         finding
-        for finding in check_derivatives(record, [*pairs, *known])
+        for finding in check_kinematics(record, [*pairs, *known])
         if not (finding.about.feigned and held & {*finding.signals})
     ]
     return [*of_signals, *of_pairs]
