@@ -93,6 +93,11 @@ class Folds(NamedTuple):
         at, total = self.columns(names), self.motion.sum(0)
         return solved(total[np.ix_(at, at)], total[at, 0])
 
+    def unexplained(self, names: Sequence[str]) -> float:
+        """Energy of the motion that the coefficients from all folds leave of all."""
+        at, row = np.append(0, self.columns(names)), np.append(1.0, -self.fitted(names))
+        return float(row @ self.motion.sum(0)[np.ix_(at, at)] @ row)
+
     def left(self, names: Sequence[str]) -> Left:
         """What is unexplained of each fold by coefficients from all others."""
         at = np.concatenate([[0], self.columns(names)])

@@ -5,11 +5,11 @@ from functools import partial
 import numpy as np
 import pytest
 import scipy.signal
+from riecjax.estimation.check import Check
 from test_delays import AXIS
 
 import riecjax as rx
 from riecjax.assessment.doubt import causes_found
-from riecjax.estimation.check import Check
 from riecjax.estimation.identify import identify
 from riecjax.records.derived import derived
 from riecjax.records.record import Record

@@ -2,6 +2,7 @@ import jax
 import numpy as np
 import pytest
 import scipy.linalg
+from riecjax.estimation.check import check
 from tests.machines import MACHINES
 
 from nightly import nightly
@@ -12,7 +13,6 @@ from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term, Terms
 from riecjax.errors import IdentifiabilityError, MissingSignalError
-from riecjax.estimation.check import check
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
 from riecjax.uncertainty.intervals import Naive, Sandwich

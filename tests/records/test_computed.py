@@ -8,7 +8,7 @@ from tests.machines import drag_signals as signals
 from tests.machines import waves
 
 import riecjax as rx
-from riecjax.records.faults.derivative_pairs import filter_between
+from riecjax.records.preparation.filtering import filter_between
 from riecjax.records.signal import noise_level
 from riecjax.summaries.task import ready
 

@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 from reporting_charts import assert_whole_in_print
+from riecjax.estimation.check import Check
 
 import riecjax as rx
 from riecjax.assessment.assess import Assessment
 from riecjax.equations.model import as_model, staged
-from riecjax.estimation.check import Check
 from riecjax.reporting.answer import Known, answer_of
 from riecjax.reporting.charts.chart import Dots, Line
 from riecjax.reporting.document import ends_of

@@ -158,8 +158,8 @@ class Weighing:
         if found.size > 0:
             lagged = self._settled(doubt, found.size, lagged=True)
             if lagged is not None:
-                found, other = sorted((found, lagged), key=lambda each: each.left)
-                found = found._replace(otherwise=other.left)
+                lagged = lagged._replace(otherwise=found.left)
+                found = lagged if lagged.certain else found._replace(otherwise=lagged.left)
         return found
 
     def _curved(self, doubt: Doubt) -> Settled | None:
@@ -303,11 +303,12 @@ class _Said(NamedTuple):
 
 class Equated(NamedTuple):
     """What a signal is held against, in words: which `says` otherwise, and `leaves` so much `of`
-    what it explains."""
+    what it explains; the code of a `zero`."""
 
     says: str = "the equation says"
     leaves: str = "the model leaves"
     of: str = "the target"
+    zero: str = "wrong_zero"
 
 
 EQUATION = Equated()
@@ -351,9 +352,8 @@ def finding_of(
         # Which of them would be right these recordings cannot tell.
         remedy, step = (), "Find out which it is by other motion, or by a calibration"
     doubts = {name: abs(share) for name, share in cause.moved.items()}
-    return Finding(
-        said.code, message, names, tuple(doubts), doubts=doubts, remedy=remedy, step=step
-    )
+    code = against.zero if said.code == "wrong_zero" else said.code
+    return Finding(code, message, names, tuple(doubts), doubts=doubts, remedy=remedy, step=step)
 
 
 def described(doubt: Doubt) -> str:
@@ -367,7 +367,7 @@ def _of_delay(delay: Settled, says: str) -> _Said:
     names = " and ".join(delay.signals)
     milliseconds = f"{1e3 * abs(delay.size):.3g} ms"
     size = f"{milliseconds} ({abs(delay.samples):.3g} samples, +-{1e3 * delay.reach:.2g} ms)"
-    if delay.low_passed and delay.certain:
+    if delay.low_passed:
         remedy = option_for("--unfilter", delay.signals, f"{delay.size:.4g}")
         return _Said(
             "low_passed",

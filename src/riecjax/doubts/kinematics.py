@@ -25,7 +25,8 @@ from riecjax import tails
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import AllWindows
-from riecjax.doubts.causes import LEVEL
+from riecjax.doubts.causes import FEWEST as FEWEST_FOLDS
+from riecjax.doubts.causes import LEVEL, UNEXPLAINED
 from riecjax.doubts.columns import (
     MOST_SAMPLES,
     Asked,
@@ -61,6 +62,8 @@ MOST_NOISE = 0.5
 """Share of the derivative's energy that must be motion for anything to be told."""
 TINY = 1e-70
 """Deviation of a signal whose products are numbers still."""
+MOVING = 0.01
+"""Energy that is left of a fold of time, over that of the one with most, where it counts."""
 ALIKE = 0.9
 """Share of its energy that a signal explains of the derivative that it is."""
 ROUGH = 0.5
@@ -145,9 +148,7 @@ def compare(record: Record, relation: Relation) -> Compared | None:
             prepared = undone(prepared, [one.remedy for one in told])
             weighing = _weighed(relation, prepared)
     folds, names = weighing.causes.folds, weighing.causes.base
-    at, row = [0, *folds.columns(names)], np.array([1.0, *(-folds.fitted(names))])
-    total = folds.motion.sum(0)[np.ix_(at, at)]
-    explained = 1 - float(row @ total @ row) / float(total[0, 0])
+    explained = 1 - folds.unexplained(names) / float(folds.motion[:, 0, 0].sum())
     sizes = {}
     for name, factor in relation.of:
         one = folds.told(names, f"0.{name}")
@@ -162,7 +163,7 @@ def _prepared(record: Record, relation: Relation) -> Record | None:
     filled = {n: _filled(s.with_nan) for n, s in some.by_name.items()}
     sizes = [float(np.nanstd(filled[name])) for name in relation.names]
     # What is not finite squared, no sensor shows.
-    if not all(TINY < size < 1 / TINY for size in sizes) or some.sample_count < FEWEST * SHORTEST:
+    if not all(TINY < size < 1 / TINY for size in sizes) or some.sample_count < 4 * SHORTEST:
         return None
     terms = [filled[name] for name in relation.terms]
     rough = (np.nanmean(np.diff(v) ** 2) > ROUGH * np.nanvar(v) for v in terms)
@@ -178,7 +179,7 @@ def _weighed(relation: Relation, record: Record, by: Sequence[str] = ()) -> Weig
     record = judged(record)
     step, terms = float(record.time_step), relation.terms
     longest = min(_usual_period(each.with_nan) for each in record.by_name.values())
-    longest = int(np.clip(longest, SHORTEST, record.sample_count // FEWEST))
+    longest = max(min(longest, record.sample_count // FEWEST), SHORTEST)
     windows = AllWindows(max(longest // SHORTEST, 2) * step, longest * step)
     doubts = list[Doubt]()
     for name in by or (relation.names if len(terms) > 1 else terms):
@@ -201,8 +202,7 @@ def _usual_period(values: Samples) -> int:
     lag, variance = 2, np.nanvar(values)
     while lag < values.size // 4 and np.nanmean((values[lag:] - values[:-lag]) ** 2) < variance:
         lag *= 2
-    import os
-    return int(float(os.environ.get('KK','6')) * lag)
+    return 6 * lag
 
 
 def _causes(weighing: Weighing, relation: Relation) -> list[Cause]:
@@ -214,7 +214,7 @@ def _causes(weighing: Weighing, relation: Relation) -> list[Cause]:
         samples = weighing.records[0].arrays[cause.doubt.signals[0]]
         return abs(cause.size) > OFFSET * float(np.std(samples))
 
-    causes = [cause for cause in weighing.found() if matters(cause)]
+    causes = [cause for cause in weighing.found() or _of_few(weighing) if matters(cause)]
     # A signal alone that comes early has the one late, or filtered, that it is the derivative of.
     if relation.terms == relation.names[1:2] and any(
         cause.undone is not None and cause.doubt.kind == "delay" and cause.size < 0
@@ -225,13 +225,50 @@ def _causes(weighing: Weighing, relation: Relation) -> list[Cause]:
     return causes
 
 
+def _of_few(weighing: Weighing) -> list[Cause]:
+    """The delay that explains what is left where that is in few folds, as that of a step:
+    with nothing to hold it against, since the relation is exact but for noise."""
+    causes, delays = weighing.causes, [d for d in weighing.causes.every if d.kind == "delay"]
+    folds, base = causes.folds, causes.base
+    at, row = np.append(0, folds.columns(base)), np.append(1.0, -folds.fitted(base))
+    left = np.einsum("i,fij,j->f", row, folds.motion[:, at[:, None], at], row)
+    if np.sum(left > MOVING * left.max()) >= FEWEST_FOLDS or not delays:
+        return []
+    # Beyond what noise may be taken for.
+    before = folds.unexplained(base)
+    best = min(delays, key=lambda delay: folds.unexplained([*base, delay.name]))
+    names = [*base, best.name]
+    if not (before > causes.noise and folds.unexplained(names) < UNEXPLAINED * before):
+        return []
+    # As its column says: a step behind a mean is late by the mean's first moment, whatever delay
+    # leaves least of the rest.
+    told, energy = folds.told(names, best.name), folds.energy
+    left, step = max(folds.unexplained(names), 0.0), float(weighing.records[0].time_step)
+    reach = float(tails.student(LEVEL / 2, told.freedom)) * told.error
+    values = dict(zip(names, folds.fitted(names).tolist()))
+    undone = Settled(
+        best.signals,
+        told.value,
+        told.error,
+        reach,
+        left / energy,
+        causes.noise / energy,
+        values,
+        step,
+    )
+    if not abs(undone.samples) > SMALLEST:
+        return []
+    return [Cause(best, told.value, causes.rms(before), causes.rms(left), {}, undone)]
+
+
 def _told(cause: Cause, relation: Relation, weighing: Weighing) -> Finding:
     """The finding of a cause: all signals but those that are late may be the wrong ones."""
     (name,) = cause.doubt.signals
-    against = Equated(f"{relation.words(name)[1]} says", "they differ by", "the motion")
+    says = relation.words(name)[0 if name == relation.signal else 1]
+    against = Equated(f"{says} says", "they differ by", "the motion", "velocity_offset")
     cause = cause._replace(moved={})
     finding = finding_of(cause, weighing.asked.model, weighing.records, against)
-    code = "velocity_offset" if finding.code == "wrong_zero" else finding.code
+    code = finding.code
     others = () if cause.undone is not None else [n for n in relation.names if n != name]
     message = finding.message
     if code == "late_signal":
@@ -239,7 +276,6 @@ def _told(cause: Cause, relation: Relation, weighing: Weighing) -> Finding:
     if code in ("velocity_offset", "drifting_signal"):
         message = f"{message} Or {relation.signal} drifts."
     return finding._replace(
-        code=code,
         message=message,
         signals=(name, *others),
         parameters=(),
@@ -271,8 +307,8 @@ def check_kinematics(record: Record, pairs: Pairs) -> list[Finding]:
 
 def _findings(record: Record, compared: Compared) -> Iterator[Finding]:
     relation, found = compared.relation, compared.found
-    is_late = any(one.code != "lost_rows" for one in found)
-    if is_late and (cut := cut_rows(*with_sum(record, relation))):
+    is_cut = any(one.code == "lost_rows" for one in found)
+    if not is_cut and (cut := cut_rows(*with_sum(record, relation))):
         yield cut._replace(signals=relation.names)
         return
     yield from found

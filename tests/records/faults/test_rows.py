@@ -5,8 +5,8 @@ import pytest
 from tests.machines import drag_signals as signals
 
 import riecjax as rx
+from riecjax.doubts.kinematics import align, check_kinematics
 from riecjax.records import check_signals
-from riecjax.records.faults.derivative_pairs import align, compared, relations
 from riecjax.records.faults.rows import (
     Repetition,
     cut_rows,
@@ -17,6 +17,7 @@ from riecjax.records.faults.rows import (
 )
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
+from riecjax.records.relations import relations
 
 TIME = np.arange(4000) / 200
 RNG = np.random.default_rng(3)
@@ -236,9 +237,7 @@ def cut_at(columns: dict[str, np.ndarray], lost: int = 0) -> Record:
 def test_lost_rows_are_not_taken_for_a_delay(seed):
     gone = cut_at(tones(seed, 0.0), 100)
     (relation,) = relations([("x", "v")])
-    _, pair = compared(gone, relation)
-    assert pair is not None
-    assert pair.is_late
+    assert [finding.code for finding in check_kinematics(gone, [relation])] == ["lost_rows"]
     assert align(gone, [relation]).record is gone
 
 

@@ -14,6 +14,7 @@ import scipy
 from riecjax.arrays import is_concrete
 from riecjax.errors import DataError
 from riecjax.leaves import Leaf
+from riecjax.records.faults.sampled_signal import ENOUGH
 from riecjax.records.linear_op import LinearOp, Operations, convolved_with, longest_stretch, step
 from riecjax.records.noise_judgement import blackman_harris, judged
 from riecjax.records.record import Record, runs

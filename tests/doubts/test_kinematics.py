@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.equations.expressions import relation_of
 from riecjax.doubts import align
 from riecjax.doubts.kinematics import Compared, check_kinematics, compare
-from riecjax.records.relations import Relation, declared_pairs
+from riecjax.equations.expressions import relation_of
 from riecjax.records.derived import derived
 from riecjax.records.preparation.filtering import unfilter
 from riecjax.records.preparation.resampling import set_clocks, shift
 from riecjax.records.preparation.steps import cut
+from riecjax.records.relations import Relation, declared_pairs
 
 STEP, COUNT = 0.005, 6000
 TIME = STEP * np.arange(COUNT)
@@ -161,20 +161,20 @@ def late(delay: float, noise: float, **more) -> rx.Record:
 @pytest.mark.parametrize("delay", [-1.7, 0.3, 1.0, 12.4])
 def test_a_delay_is_found_to_a_part_of_a_sample(noise, within, delay):
     pair = compared(late(delay, noise))
-    assert pair.fit.delay == pytest.approx(delay, abs=within)
-    assert pair.fit.gain == pytest.approx(1, abs=0.01)
-    assert pair.is_late
-    assert not pair.fit.lagged
+    (name,) = pair.late
+    assert name == ("v" if delay > 0 else "x")
+    assert pair.late[name].samples == pytest.approx(abs(delay), abs=within)
+    assert pair.sizes["v"].value == pytest.approx(1, abs=0.01)
+    assert not pair.late[name].low_passed
 
 
 def test_errors_are_what_delays_and_gains_scatter_by():
-    pairs = [compared(late(0.4, 0.05, seed=seed, count=2000)) for seed in range(40)]
-    for values, truth, which in (
-        ([pair.fit.delay for pair in pairs], 0.4, 0),
-        ([pair.fit.gain for pair in pairs], 1.0, 1),
-        ([pair.fit.offset for pair in pairs], 0.0, 2),
+    pairs = [compared(late(2.4, 0.05, seed=seed, count=2000)) for seed in range(40)]
+    delays, sizes = ([getattr(pair, of)["v"] for pair in pairs] for of in ("late", "sizes"))
+    for values, truth, errors in (
+        ([one.size for one in delays], 2.4 * STEP, [one.error for one in delays]),
+        ([one.value for one in sizes], 1.0, [one.error for one in sizes]),
     ):
-        errors = np.array([pair.fit.errors[which] for pair in pairs])
         scores = (np.array(values) - truth) / errors
         assert 0.7 < np.sqrt(np.mean(scores**2)) < 1.3
         assert abs(np.mean(scores)) < 0.5
@@ -188,7 +188,7 @@ def test_gaps_and_spikes_hide_no_delay():
     v[[50, 3000, 3001]] = 1e9, -1e300, -1e300
     x[4000] = 1e15
     holed = rx.Record.from_samples({"x": x, "v": v}, time_step=STEP)
-    assert compared(holed).fit.delay == pytest.approx(0.5, abs=0.05)
+    assert compared(holed).late["v"].samples == pytest.approx(0.5, abs=0.05)
 
 
 @pytest.mark.parametrize(

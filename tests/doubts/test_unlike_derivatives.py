@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from riecjax.doubts.kinematics import check_kinematics, compare
 from riecjax.errors import MissingSignalError
-from riecjax.records.faults.derivative_pairs import _best_lag, check_derivatives
 from riecjax.records.record import Record
+from riecjax.records.relations import Relation
 
 STEP = 0.005
 TIME = np.arange(4000) * STEP
@@ -24,8 +25,8 @@ def motion(seed: int = 0, offset: float = 3.0) -> dict[str, np.ndarray]:
 
 def found(signals: dict[str, np.ndarray], step: float = STEP) -> list[str]:
     record = Record.from_samples(signals, time_step=step)
-    findings = check_derivatives(record, [("x", "v")])
-    # What is less than that is for tests/records/faults/test_derivative_pairs.py.
+    findings = check_kinematics(record, [("x", "v")])
+    # What is less than that is for tests/doubts/test_kinematics.py.
     findings = [finding for finding in findings if finding.code == "not_its_derivative"]
     assert all(finding.signals == ("x", "v") for finding in findings)
     return [finding.message for finding in findings]
@@ -78,7 +79,7 @@ def test_a_unit_that_loggers_write_is_named_and_no_other(name, factor, unit):
     signals[name] = factor * signals[name]
     units = {"x": "m", "v": "m/s"}
     record = Record.from_samples(signals, time_step=STEP, units=units)
-    (finding,) = check_derivatives(record, [("x", "v")])
+    (finding,) = check_kinematics(record, [("x", "v")])
     assert finding.remedy == (("--unit", f"{name}={unit}") if unit else ())
     assert (f"{name} is in " in finding.message) == bool(unit)
     assert ("points the other way" in finding.message) == (factor == -1)
@@ -87,13 +88,14 @@ def test_a_unit_that_loggers_write_is_named_and_no_other(name, factor, unit):
 @pytest.mark.raises_finding("not_its_derivative")
 def test_no_unit_is_named_of_signals_that_do_not_belong_together():
     strangers = {"x": motion(0)["x"], "v": motion(100)["v"]}
-    best = _best_lag(strangers["x"], strangers["v"], STEP)
-    assert best is not None
+    pair = compare(Record.from_samples(strangers, time_step=STEP), Relation("x", (("v", 1.0),)))
+    assert pair is not None
+    assert pair.sizes is not None
     for unit in (1e3, 100.0):  # as of mm, of cm
-        signals = {"x": strangers["x"] * unit / best[1], "v": strangers["v"]}
+        signals = {"x": strangers["x"] * unit / pair.sizes["v"].value, "v": strangers["v"]}
         units = {"x": "m", "v": "m/s"}
         record = Record.from_samples(signals, time_step=STEP, units=units)
-        (finding,) = check_derivatives(record, [("x", "v")])
+        (finding,) = check_kinematics(record, [("x", "v")])
         assert "does not move with x" in finding.message
         assert finding.remedy == ()
 
@@ -110,7 +112,7 @@ def test_channels_mixed_up(seed):
 def test_a_missing_signal():
     record = Record.from_samples({"x": TIME}, time_step=STEP)
     with pytest.raises(MissingSignalError):
-        check_derivatives(record, [("x", "v")])
+        check_kinematics(record, [("x", "v")])
 
 
 @pytest.mark.raises_finding("late_signal")
@@ -125,7 +127,7 @@ def test_a_mean_of_a_short_step_is_late_and_not_of_another_size(taps, seconds):
     rng, every = np.random.default_rng(taps), slice(None, None, 25)
     noisy = mean[every] + 0.005 * rng.standard_normal(v[every].size)
     record = Record.from_samples({"x": x[every], "v": noisy}, time_step=0.025)
-    late = [f for f in check_derivatives(record, [("x", "v")]) if f.code == "late_signal"]
+    late = [f for f in check_kinematics(record, [("x", "v")]) if f.code == "late_signal"]
     for finding in late:
         option, value = finding.remedy
         assert option == "--shift"
@@ -140,6 +142,6 @@ def test_the_recording_of_a_step_whose_velocity_is_a_mean():
         pytest.skip("the recording stands beside the project, and is not there")
     rows = np.genfromtxt(file, delimiter=",", skip_header=1)
     record = Record.from_samples({"x": rows[:, 2], "v": rows[:, 3]}, time_step=0.02)
-    (finding,) = check_derivatives(record, [("x", "v")])
+    (finding,) = check_kinematics(record, [("x", "v")])
     assert finding.code == "late_signal"
     assert float(finding.remedy[1].removeprefix("v=")) == pytest.approx(0.0195, abs=0.002)

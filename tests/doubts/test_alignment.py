@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from riecjax.doubts import align
 from riecjax.errors import DataError
-from riecjax.records.faults.derivative_pairs import align
 from riecjax.records.preparation.resampling import set_clocks
 from riecjax.records.record import Record
 
