@@ -316,7 +316,7 @@ def assess_summary(
     - `summary` of recordings by [`summarise`][riecjax.summarise].
     - `lengths`: sums of the same recordings in bins of window lengths, for drift.
     - `findings` of the recordings, each with the parameters that it concerns, or for all; see
-      [`recording_findings`][riecjax.estimation.recording_findings].
+      [`recording_findings`][riecjax.doubts.recording_findings].
 
     **Raises:** as [`estimate`][riecjax.estimate], and `IdentifiabilityError` for what
     [`check`][riecjax.check] refuses.

@@ -27,6 +27,7 @@ from riecjax.findings import Finding
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording, explaining_errors, findings_of
+from riecjax.records.relations import relations
 from riecjax.settings import Check as CheckSettings
 from riecjax.settings import taking
 from riecjax.shows import Shown
@@ -212,9 +213,11 @@ def of_sensors(model: Model, recording: Recording, read: Collection[str]) -> lis
     # A value that is held, or cut off, is no gain: to scale it makes the rest wrong as well.
     # Nor are rows lost where one signal alone jumps, or is it late for what it held.
     held = {n for f in of_signals if f.about.holds for n in f.signals}
+    # What holds was seen when it was read.
+    looked_at = [one for one in relations([*pairs, *known]) if one not in recording.kinematics]
     of_pairs = [
         finding
-        for finding in check_kinematics(record, [*pairs, *known])
+        for finding in check_kinematics(record, looked_at)
         if not (finding.about.feigned and held & {*finding.signals})
     ]
     return [*of_signals, *of_pairs]

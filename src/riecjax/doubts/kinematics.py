@@ -145,8 +145,11 @@ def compare(record: Record, relation: Relation) -> Compared | None:
         }
         is_undone = all(one.remedy for one in told)
         if is_undone:
-            prepared = undone(prepared, [one.remedy for one in told])
-            weighing = _weighed(relation, prepared)
+            try:
+                prepared = undone(prepared, [one.remedy for one in told])
+                weighing = _weighed(relation, prepared)
+            except DataError:  # too little of it is left
+                is_undone = False
     folds, names = weighing.causes.folds, weighing.causes.base
     explained = 1 - folds.unexplained(names) / float(folds.motion[:, 0, 0].sum())
     sizes = {}
@@ -448,7 +451,9 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
             )
     if how == "none":
         return Aligned(record)
-    found = [one for relation in every if (one := _in_step(record, relation)) is not None]
+    compared = [one for relation in every if (one := compare(record, relation)) is not None]
+    holds = tuple(one.relation for one in compared if not any(_findings(record, one)))
+    found = [one for each in compared if (one := _in_step(record, each)) is not None]
     # What a sensor holds for a while is no delay, and is found no more once it is shifted.
     if not names and any(one.late for one in found):
         held = holding(record, {name for one in found for name in one.late})
@@ -474,11 +479,11 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
         after = ((name, s - min(g.values())) for g in groups for name, s in g.items())
         late = {name: s for name, s in after if s > SMALLEST * float(record.time_step)}
     if not late:
-        return Aligned(record)
+        return Aligned(record, holding=holds)
     told = []
     for name, seconds in late.items():
-        holds = [one for one in found if name in one.relation.names]
-        one = next((one for one in holds if one.late), holds[0])
+        mine = [one for one in found if name in one.relation.names]
+        one = next((one for one in mine if one.late), mine[0])
         mine, reach = {*one.late}, 1e3 * max((e.reach for e in one.late.values()), default=0.0)
         others = {*one.relation.names} - mine if name in mine else mine
         message = (
@@ -492,16 +497,15 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
     return Aligned(shift(record, late), words, tuple(told))
 
 
-def _in_step(record: Record, relation: Relation) -> Compared | None:
+def _in_step(record: Record, one: Compared) -> Compared | None:
     """Signals that belong to each other, of which no lost rows, clocks or filters look like a
     delay."""
-    one = compare(record, relation)
-    if one is None or one.explained < UNRELATED:
+    if one.explained < UNRELATED:
         return None
     if any(abs(size.value - 1) > GROSS for size in (one.sizes or {}).values()):
         return None
     late = {n: each for n, each in one.late.items() if not each.low_passed}
-    if late and cut_rows(*with_sum(record, relation)):
+    if late and cut_rows(*with_sum(record, one.relation)):
         return None
     return one._replace(late=late)
 

@@ -20,7 +20,7 @@ from riecjax.records.reading.selection import CHOOSE, Parts, record_from_channel
 from riecjax.records.reading.times import TIME_COLUMNS, listed
 from riecjax.records.reading.units import same, split_unit
 from riecjax.records.record import Record, Records, as_records
-from riecjax.records.relations import Pairs, declared_pairs
+from riecjax.records.relations import Pairs, Relation, declared_pairs
 from riecjax.settings import Reading
 from riecjax.shows import Drawn
 
@@ -44,6 +44,7 @@ class Recording(Drawn):
     - `converted`: signal to the unit that it was converted from.
     - `computed`: signals that no sensor recorded, by formulas or as derivatives.
     - `part`: which part of its file this is, where that holds several recordings or was split.
+    - `kinematics`: relations between its signals that hold, as was found when it was read.
     """
 
     record: Record
@@ -55,6 +56,7 @@ class Recording(Drawn):
     part: str = ""
     converted: Mapping[str, str] = field(default_factory=dict)
     computed: tuple[str, ...] = ()
+    kinematics: tuple[Relation, ...] = ()
 
     @property
     def name(self) -> str:
@@ -122,11 +124,13 @@ def as_recordings(records: Records) -> list[Recording]:
 
 
 class Aligned(NamedTuple):
-    """A record, what was shifted in words, and what was found amiss and put right."""
+    """A record, what was shifted in words, what was found amiss and put right, and the relations
+    that hold as they were recorded."""
 
     record: Record
     words: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
+    holding: tuple[Relation, ...] = ()
 
 
 Aligning: TypeAlias = Callable[[Record, Pairs, str | Sequence[str]], Aligned]
@@ -292,6 +296,7 @@ def _recording(
         part,
         selected.converted,
         tuple(n for n in record.arrays if n not in read or n in settings.derive),
+        () if aligned.words or last_steps else aligned.holding,
     )
 
 

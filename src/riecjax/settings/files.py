@@ -101,7 +101,7 @@ class Read(Select):
 class Prepare(Settings):
     """What is done to a record as read, in this order.
 
-    `align` depends on what is found in the record; see [`align`][riecjax.records.align],
+    `align` depends on what is found in the record; see [`align`][riecjax.doubts.align],
     [`leave_out`][riecjax.records.leave_out], [`set_clocks`][riecjax.records.set_clocks] and
     [`unfilter`][riecjax.records.unfilter].
     """
