@@ -37,7 +37,7 @@ MANY_IMPORTS = {
     "riecjax.assessment.output_error_search": 14,
     "riecjax.discovery.candidate": 13,
     "riecjax.discovery.discover": 22,
-    "riecjax.estimation.check": 20,
+    "riecjax.doubts.check": 21,
     "riecjax.estimation.identify": 22,
     "riecjax.records.recording": 14,
     "riecjax.refinement.output_error": 14,

@@ -177,11 +177,12 @@ def damper_found(data: Path) -> dict[str, Any]:
     windows = rx.RIEC(rx.AllWindows(0.02, 0.1))
     train, rest = record.part(0, MR_TRAIN), record.part(MR_TRAIN, record.sample_count)
     alone = rx.identify(start, train, windows)
-    tests = residual_tests(start, train, alone)
     found = rx.discover(start, train, criterion=windows)
     return {
         **told(found),
-        "finding": [f.message for f in tests.findings() if f.code == "hysteresis"],
+        "finding": [
+            f.message for f in rx.assess(start, train, windows).findings() if f.code == "hysteresis"
+        ],
         "held_out_before": _left(start, alone, rest, record),
         "held_out_after": _left(found.model, found.estimate, rest, record),
     }

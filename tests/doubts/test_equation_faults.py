@@ -1,16 +1,24 @@
-"""Inputs that drift or say nothing."""
+"""Inputs that drift or say nothing, and hysteresis that a model lacks."""
 
+import re
 from functools import partial
 
 import numpy as np
 import pytest
 import scipy.signal
-from riecjax.estimation.check import Check
+from benchmarks.recovery.faults import recorded as recorded_machine
+from benchmarks.recovery.machines import MACHINES
+from benchmarks.recovery.machines import RATE as MACHINES_RATE
 from test_delays import AXIS
+from tests.machines import PROBLEMS, STROKE
 
 import riecjax as rx
+from nightly import by_day, nightly
 from riecjax.assessment.doubt import causes_found
+from riecjax.doubts.check import Check
+from riecjax.equations.model import as_model
 from riecjax.estimation.identify import identify
+from riecjax.models.catalogue import find_model
 from riecjax.records.derived import derived
 from riecjax.records.record import Record
 from riecjax.summaries.task import ready
@@ -38,11 +46,12 @@ def recorded(seed: int, drift: float, noise: float) -> rx.Record:
     return rx.Record.from_samples({"x": x, "v": v, "u": u}, time_step=1 / RATE)
 
 
-def found(record: rx.Record) -> list[rx.findings.Finding]:
-    records = [one.record for one in ready(rx.staged(LAW), record)]
-    estimate = rx.identify(LAW, records)
-    errors = errors_over_records(LAW, records, estimate.values)
-    return causes_found(NOTHING, rx.staged(LAW), records, errors, estimate)
+def found(record: rx.Record, model: rx.Equation | rx.Model = LAW) -> list[rx.findings.Finding]:
+    model = as_model(model)
+    records = [one.record for one in ready(model, record)]
+    estimate = rx.identify(model, records)
+    errors = errors_over_records(model, records, estimate.values)
+    return causes_found(NOTHING, model, records, errors, estimate)
 
 
 @pytest.mark.raises_finding("drifting_signal")
@@ -123,3 +132,71 @@ def test_a_force_of_white_noise_is_none_nor_is_free_motion():
     signals = driven(1)
     signals["F"][500:] = 0.0
     assert codes(signals) == []
+
+
+HYSTERETIC = PROBLEMS["hysteresis"]
+
+
+@pytest.mark.raises_finding("hysteresis")
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+def test_a_missing_state_is_named_with_its_width(noise):
+    viscous = rx.Term("c", "x", derivative=1, measured=("dx",))
+    damped = as_model(HYSTERETIC.start).with_terms({"mass": [viscous]})
+    (finding,) = found(HYSTERETIC.record(noise, 3, drive=1), damped)
+    assert finding.code == "hysteresis"
+    assert finding.message.startswith("mass: what the model leaves runs in loops over dx: ")
+    width = re.search(r"within about ([\d.]+) of displacement", finding.message)
+    assert width is not None
+    assert STROKE / 3 < float(width[1]) < 3 * STROKE
+    assert "riecjax discover --alpha 0.02 --beta 0.1" in finding.message
+    assert finding.signals == ("dx",)
+    assert {*finding.parameters} == {"m", "k", "c"}
+
+
+@pytest.mark.no_finding("hysteresis")
+@pytest.mark.parametrize("name", by_day(("duffing", "drag", "axis", "dead_zone"), "axis"))
+@pytest.mark.parametrize("noise", [*nightly([0.0]), 0.05])
+def test_friction_and_springs_that_are_missing_are_no_hysteresis(name, noise):
+    problem = PROBLEMS[name]
+    told = found(problem.record(noise, 5, drive=2), problem.start)
+    assert "hysteresis" not in [finding.code for finding in told]
+
+
+@pytest.mark.no_finding("hysteresis")
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_a_model_with_hysteresis_lacks_none(noise):
+    assert found(HYSTERETIC.record(noise, 5, drive=2), HYSTERETIC.model) == []
+
+
+@pytest.mark.no_finding("hysteresis")
+@pytest.mark.parametrize(
+    ("name", "seed"), [("pendulum", 1228), *nightly([("axis", 1062), ("dry", 1019), ("car", 1210)])]
+)
+def test_sound_recordings_have_no_hysteresis(name, seed):
+    machine = MACHINES[name]
+    signals = recorded_machine(machine, None, "", seed, 0.01)[0][1]
+    record = rx.Record.from_samples(signals, time_step=1 / MACHINES_RATE)
+    assert found(record, find_model(machine.model)) == []
+
+
+@pytest.mark.raises_finding("missing_term")
+@pytest.mark.parametrize("scale", [1.0, 1e140])
+def test_a_voltage_that_changes_dry_friction_is_named_with_what_it_changes(scale):
+    """Whatever its unit is."""
+    times = np.arange(6000) / 200
+    x = np.sin(7 * times) + 0.4 * np.sin(11 * times + 1)
+    v = 7 * np.cos(7 * times) + 4.4 * np.cos(11 * times + 1)
+    volt = 1 + np.sin(0.9 * times)
+    force = 3 * v + 5 * x + 4 * volt * np.sign(v)
+    record = rx.Record.from_samples(
+        {"x": x, "v": v, "F": force, "volt": scale * volt}, time_step=1 / 200
+    )
+    damper = rx.Equation(
+        rx.Term("c", "x", derivative=1, measured=("v",)),
+        rx.Term("k", "x"),
+        -rx.Term(1.0, "F"),
+        name="damper",
+    )
+    (finding,) = found(record, damper)
+    assert {"volt", "v"} >= {*finding.signals} >= {"volt"}
+    assert "dry friction that volt changes" in finding.message

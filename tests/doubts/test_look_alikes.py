@@ -188,6 +188,38 @@ def test_dry_friction_that_is_missing_is_neither_late_nor_hysteresis(moves, fric
     assert not told.trusted_in_error(TRUTH), told
 
 
+BESIDE = {
+    "nothing": ("slowly", lambda x, v: 0.0, None),
+    "drag": ("broadly", lambda x, v: 30 * v * abs(v), "drag"),
+    "a spring that hardens": ("broadly", lambda x, v: 2e4 * x**3, "stiffness that hardens"),
+}
+"""How the body moves, what else its model lacks, and what that is called."""
+
+
+@pytest.mark.raises_finding("hysteresis")
+@pytest.mark.parametrize("noise", [0.001, 0.05])
+@pytest.mark.parametrize("lacking", BESIDE)
+def test_hysteresis_is_told_with_what_else_is_missing(lacking, noise):
+    moves, other, called = BESIDE[lacking]
+
+    def rate(state: State, force: float) -> State:
+        x, v, z = state
+        held = 400.0 * x + 9.0 * v + 12.0 * z + other(x, v)
+        return v, (force - held) / 2.0, (v - abs(v) * z) / 0.03
+
+    x, v, _ = integrated(rate, (0.0,) * 3, MOVES[moves])
+    told = Told(AXIS, recorded({"x": x, "v": v, "F": MOVES[moves](TIMES)}, noise))
+    (finding,) = (finding for finding in told.findings if finding.code == "hysteresis")
+    width = re.search(r"within about ([\d.]+)", finding.message)
+    assert width is not None, told
+    assert 0.01 < float(width[1]) < 0.1, told
+    assert not told.codes & DELAYED, told
+    terms = [finding.message for finding in told.findings if finding.code == "missing_term"]
+    assert len(terms) == (called is not None), told
+    assert all(called in term for term in terms), told
+    assert not told.trusted_in_error(TRUTH), told
+
+
 DASHPOTS = {
     "of 0.4 ms": ("slowly", 0.4, 0.16, 0.001),
     "of 2.5 ms": ("slowly", 0.4, 1.0, 0.01),

@@ -2,13 +2,13 @@ import jax
 import numpy as np
 import pytest
 import scipy.linalg
-from riecjax.estimation.check import check
 from tests.machines import MACHINES
 
 from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows
+from riecjax.doubts.check import check
 from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term, Terms

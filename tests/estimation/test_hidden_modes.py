@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from riecjax.estimation.check import raise_if_not_carried
 from tests.machines import BODY, STANDARD, noisy
 from tests.machines import MODE_MODEL as MODEL
 from tests.machines import MODE_TRUTH as TRUTH
@@ -16,6 +15,7 @@ from tests.machines import body_with_mode as motion
 import riecjax as rx
 from conftest import in_32_bit
 from nightly import nightly
+from riecjax.doubts.check import raise_if_not_carried
 from riecjax.estimation import mode_evidence
 from riecjax.estimation.hidden_modes import find_modes
 

@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 import pytest
 from reporting_charts import assert_whole_in_print
-from riecjax.estimation.check import Check
 
 import riecjax as rx
 from riecjax.assessment.assess import Assessment
+from riecjax.doubts.check import Check
 from riecjax.equations.model import as_model, staged
 from riecjax.reporting.answer import Known, answer_of
 from riecjax.reporting.charts.chart import Dots, Line

@@ -77,7 +77,7 @@ def main(arguments: list[str] | None = None) -> None:
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit status is returned, every message is one line.
 
-    Where the status is 1, `--json` prints `{"schema": 2, "error": {"code": ..., "message": ...}}`.
+    Where the status is 1, `--json` prints `{"schema": 3, "error": {"code": ..., "message": ...}}`.
     """
     given = sys.argv[1:] if arguments is None else arguments
     try:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from riecjax.doubts.columns import Doubt
+from riecjax.doubts.columns import STATES, Doubt
 from riecjax.equations.bases import AbstractShape, DeadZone, Saturation, Stribeck
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, constant, even, odd, product, read_expression
@@ -175,11 +175,18 @@ def named(reference: str, name: str) -> Candidate:
 
 
 def lacked(model: Model, records: Sequence[Record]) -> list[Doubt]:
-    """Of the usual candidates the terms that have neither width nor memory, as doubts."""
+    """Of the usual candidates the terms without a width, and hysteresis of each, as doubts."""
     return [
-        Doubt(one.columns[0], "term", term=one.terms[0], equation=one.equation, meaning=one.meaning)
-        for one in default_candidates(model, records)
-        if isinstance(one, Candidate) and not one.memories and len(one.columns) == 1
+        Doubt(
+            one.columns[0],
+            STATES if one.memories else "term",
+            term=one.terms[0],
+            equation=one.equation,
+            meaning=one.meaning,
+            memories=one.memories,
+        )
+        for one in members(default_candidates(model, records))
+        if bool(one.memories) is (one.law is not None) and len(one.columns) == 1
     ]
 
 

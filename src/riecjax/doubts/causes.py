@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from riecjax.doubts.columns import Doubt
+from riecjax.doubts.columns import STATES, Doubt
 from riecjax.equations.expressions import constant
 from riecjax.folds import Beside, Folds, Told
 from riecjax.leaves import size_of
@@ -36,7 +36,7 @@ LOST = 0.03
 CLEARER = 4.0
 """Times as much energy that others leave where the cause is certain."""
 NO_DELAYS = ("zero", "gain", "drift", "term")
-"""Kinds of doubts other than delays and their courses."""
+"""Kinds of doubts other than delays and their courses, and states."""
 FEWEST = 6
 """Folds of time below which their scatter says too little."""
 MOST = 3
@@ -143,9 +143,9 @@ class Causes:
         return bool(most > enough or self.before > LOST * self.folds.energy)
 
     def nearest(self, most: int) -> list[Doubt]:
-        """All delays; of the other doubts those that gain most by themselves, and beside the best;
-        and of what drifts the zero as well."""
-        others, near = self.of(*NO_DELAYS), self.of("delay")
+        """All delays; of the other doubts those that gain most by themselves, and beside the best,
+        of a state all widths; and of what drifts the zero as well."""
+        others, near = self.of(*NO_DELAYS, STATES), self.of("delay")
         best: list[Doubt] = []
         for _ in range(2):
             gained = self._beside(best).gained
@@ -155,10 +155,14 @@ class Causes:
                 if doubt not in near and (self.is_sure(doubt, best) or self._zero_hiding(doubt))
             ]
             sure.sort(key=lambda doubt: -gained[self.every.index(doubt)])
+            states = [doubt for doubt in sure if doubt.kind == STATES]
+            sure = [doubt for doubt in sure if doubt not in states[1:]]
             near += sure[:most]
             best = sure[:1]
             if not best:
                 break
+        turning = [doubt.memories[0].velocity for doubt in near if doubt.kind == STATES]
+        near += [doubt for doubt in self.of(STATES) if doubt.memories[0].velocity in turning]
         drifting = {doubt.signals for doubt in near if doubt.kind == "drift"}
         near += [doubt for doubt in self.of("zero") if doubt.signals in drifting]
         return [doubt for doubt in self.every if doubt in near]
@@ -175,6 +179,7 @@ class Causes:
                 doubt
                 for doubt in among
                 if doubt not in chosen and (doubt in sure or self.is_sure(doubt, chosen))
+                if doubt.kind != STATES or STATES not in {one.kind for one in chosen}
             ]
             best = min(others, key=lambda doubt: self.left([*chosen, doubt]), default=None)
             if best is None or not self.left([*chosen, best]) < self.left(chosen):
@@ -183,6 +188,10 @@ class Causes:
                 among.remove(best)
                 continue
             chosen.append(min(self._alike(best, chosen, among), key=_simplicity))
+            # Of a state the width that leaves least beside the others.
+            widths = [doubt for doubt in among if doubt.kind == STATES]
+            found = ([a if one.kind == STATES else one for one in chosen] for a in widths)
+            chosen = min([chosen, *found], key=self.left)
             if self.is_little(self.left(chosen)):
                 return self._pruned(chosen)
         # What drifts hides its zero, and is hidden by it.
@@ -198,8 +207,11 @@ class Causes:
     def _alike(self, best: Doubt, beside: Sequence[Doubt], among: Sequence[Doubt]) -> list[Doubt]:
         """The best doubt, those that say the same, and of those that leave hardly more: terms,
         which are likelier than what looks like them; and drifts of other signals, if it is one,
-        which are taken off an input as well as off any other."""
-        most = max(CLEARER * self.left([*beside, best]), OF_NOISE * self.noise)
+        which are taken off an input as well as off any other. What a state is not, the shape of a
+        cause to the last, a term in its place has to be."""
+        left = self.left([*beside, best])
+        most = max(CLEARER * left, OF_NOISE * self.noise)
+        explained = best.kind == STATES and self.is_little(left)
         same = self.same_as(best, among)
         return [
             doubt
@@ -209,6 +221,7 @@ class Causes:
             or (
                 (doubt.kind == "term" or doubt.kind == best.kind == "drift")
                 and self.left([*beside, doubt]) <= most
+                and (not explained or self.is_little(self.left([*beside, doubt])))
                 and self.is_sure(doubt, beside)
             )
         ]
@@ -280,8 +293,10 @@ class Causes:
 
 
 def _simplicity(doubt: Doubt) -> int:
-    """What is said first of doubts that are alike: a constant, a zero, any other term; of these,
-    what comes first."""
+    """What is said first of doubts that are alike: a constant, a zero, any other term, what else,
+    a state; of these, what comes first."""
+    if doubt.kind == STATES:
+        return 4
     if doubt.term is not None:
         return 0 if doubt.term.of is constant else 2
     return 1 if doubt.kind == "zero" else 3

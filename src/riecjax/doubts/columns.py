@@ -35,7 +35,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import accelerated
-from riecjax.equations.memories import with_memories
+from riecjax.equations.memories import Memory, with_memories
 from riecjax.equations.model import Model
 from riecjax.equations.noisy_columns import Columns, sampled_columns
 from riecjax.equations.term import AbstractTerm
@@ -56,6 +56,9 @@ GOLDEN = 0.5 * (5**0.5 - 1)
 """Multiples of it lie evenly between whole numbers (Weyl), however many there are."""
 APART = 1e-4
 """Least eigenvalue of a stage's correlations with which parameters of earlier stages are free."""
+STATES = "hysteresis"
+"""The kind of a state of some width, of which the best is a cause. Dry friction is one of no width,
+so that a state explains as much as that does, and is named in the place of nothing."""
 SLIGHT = 1e-3
 """Share of a signal's deviation over which slopes are taken, where there is less noise."""
 
@@ -83,7 +86,8 @@ class Doubt:
     """What may be amiss: a column.
 
     **Fields:** `name`, of its column; `kind`; the `signals` that it changes, all by one `course`;
-    or the `term` that an `equation` may lack, by its `meaning`; or an `element` of the machine.
+    or the `term` that an `equation` may lack, by its `meaning`, with `memories`, states that it
+    reads and recordings lack; or an `element` of the machine.
     """
 
     name: str
@@ -94,6 +98,7 @@ class Doubt:
     equation: str = ""
     meaning: str = ""
     element: Element | None = None
+    memories: tuple[Memory, ...] = ()
 
     def changes(self, samples: Samples, time: Samples) -> Samples:
         """How a fault of unit size changes a signal's samples."""
@@ -325,7 +330,8 @@ def folds_of(
         if doubt.term is not None:
             terms.setdefault(doubt.equation, []).append(doubt.term)
     records = [each.part(0, min(each.sample_count, MOST_SAMPLES)) for each in records]
-    records = [with_memories(record, model.memories) for record in records]
+    memories = [*model.memories, *(state for doubt in doubts for state in doubt.memories)]
+    records = [with_memories(record, memories) for record in records]
     windows = windows_of(criterion, records)
     fold = np.concatenate([each.fold for each in windows])
     copies = [[noisy_copies(one, i) for i in range(PROBES[noise])] for one in records]
@@ -526,6 +532,6 @@ def plausible(doubts: Sequence[Doubt], records: Sequence[Record]) -> Mapping[str
             sizes[doubt.name] = REACH * max(np.ptp(one) + abs(np.mean(one)) for one in samples)
         elif doubt.kind == "gain":
             sizes[doubt.name] = GAIN
-        elif doubt.kind != "term":
+        elif doubt.signals:
             sizes[doubt.name] = longest_delay(records) * step
     return sizes

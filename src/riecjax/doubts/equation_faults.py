@@ -15,11 +15,20 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.doubts.causes import CLEARER, FEWEST, LOST, NO_DELAYS, OF_NOISE, Causes
-from riecjax.doubts.columns import Asked, Doubt, folds_of, longest_delay, plausible, sensors
+from riecjax.doubts.columns import (
+    STATES,
+    Asked,
+    Doubt,
+    folds_of,
+    longest_delay,
+    plausible,
+    sensors,
+)
 from riecjax.doubts.delays import SMALLEST, Course, Settled, Shifts, settled
 from riecjax.doubts.modes import Ringing, best_mode
 from riecjax.equations import expressions
 from riecjax.equations.model import Model
+from riecjax.equations.motions import per
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, line_taken_off, option_for
 from riecjax.records.record import Record
@@ -30,7 +39,8 @@ HALF = 0.5
 VISIBLE = 0.003
 """Rms left beyond noise, over the target, from which a delay that changes is looked for."""
 RINGS = 0.3
-"""Share of the energy left beyond noise that a mode leaves at most: its shape is a rough one."""
+"""Share of the energy left beyond noise that a mode or hysteresis leaves at most: their shapes are
+rough ones."""
 MOVES = 1.0
 """Standard errors by which a cause moves some parameter at the least."""
 NOTABLE = 0.02
@@ -83,9 +93,13 @@ class Weighing:
         doubts: Sequence[Doubt],
         ringing: bool = False,
     ) -> "Weighing":
-        """Noise is taken off those doubts alone that may be a cause."""
+        """Noise is taken off those doubts alone that may be a cause, and states of hysteresis,
+        whose shapes are rough, are tried where much is left."""
         sizes = plausible(doubts, records)
-        rough = Causes(folds_of(asked, records, doubts, "plain"), doubts, sizes)
+        plain = [doubt for doubt in doubts if doubt.kind != STATES]
+        rough = Causes(folds_of(asked, records, plain, "plain"), plain, sizes)
+        if len(plain) < len(doubts) and rough.before > NOTABLE**2 * rough.folds.energy:
+            rough = Causes(folds_of(asked, records, doubts, "plain"), doubts, sizes)
         asked = asked._replace(base=rough.base)
         if not rough.is_promising:
             rough.offered = []
@@ -106,8 +120,10 @@ class Weighing:
         """What the data demand; nothing where nothing explains what is left."""
         causes = self.causes
         known = {one: found for one in causes.of("zero", "gain") if (found := self._curved(one))}
+        # Rough shapes, of hysteresis and of modes, tell nothing of what is little.
+        is_notable = causes.before > NOTABLE**2 * causes.folds.energy
+        others = causes.of(*NO_DELAYS, *([STATES] if is_notable else []))
         # Where something else explains what is left, no delay is too large for its column.
-        others = causes.of(*NO_DELAYS)
         large = causes.before > LOST * causes.folds.energy and not any(
             causes.is_sure(one) and causes.is_little(causes.left([one])) for one in others
         )
@@ -121,7 +137,9 @@ class Weighing:
         drifting = [doubt for doubt in chosen if doubt.kind == "drift"]
         chosen = [doubt for doubt in chosen if not causes.is_zero_of(doubt, drifting)]
         if not chosen:
-            one = self._followed(known) or (self._mode() if self.ringing else None)
+            one = self._followed(known)
+            if one is None and is_notable and self.ringing:
+                one = self._hysteresis() or self._mode()
             return [] if one is None else [one]
         if [doubt.kind for doubt in chosen] == ["delay"] and self._is_changing(chosen[0]):
             one = self._followed(known)
@@ -224,11 +242,23 @@ class Weighing:
             best.append(Cause(doubt, 0.0, before, left, moved, course=followed.course))
         return min(best, key=lambda cause: cause.left, default=None)
 
+    def _hysteresis(self) -> Cause | None:
+        """Hysteresis that explains what is left roughly, as no term does."""
+        causes = self.causes
+        most = max(RINGS * causes.before, OF_NOISE * causes.noise)
+        rough = [
+            one
+            for one in causes.of("term", STATES)
+            if causes.left([one]) < most and causes.is_sure(one)
+        ]
+        if not rough or any(one.kind != STATES for one in rough):
+            return None
+        best = min(rough, key=lambda one: causes.left([one]))
+        return self._cause(best, [best], None)
+
     def _mode(self) -> Cause | None:
         """A mode on one of the bodies that explains what is left."""
         causes = self.causes
-        if not causes.before > NOTABLE**2 * causes.folds.energy:
-            return None
         mode = best_mode(self.asked, self.records)
         if mode is None:
             return None
@@ -319,7 +349,9 @@ def finding_of(
 ) -> Finding:
     """The finding that a cause makes, seen in records of a model."""
     names = cause.doubt.signals or tuple(n for one in cause.same for n in one.signals)
-    if cause.doubt.term is not None and not names:
+    if cause.doubt.memories:
+        names = tuple(state.velocity for state in cause.doubt.memories)
+    elif cause.doubt.term is not None and not names:
         names = expressions.signals_read(cause.doubt.term.of)
     if isinstance(cause.doubt.element, Ringing):
         names = (cause.doubt.element.on,)
@@ -466,6 +498,21 @@ def _of_mode(equation: str, mode: Ringing, mass: float) -> _Said:
     )
 
 
+def _of_state(doubt: Doubt, record: Record) -> _Said:
+    (state,) = doubt.memories
+    v, step = state.velocity, float(record.time_step)
+    width = f"{state.width:.2g} {per(record.signal(v).unit, '1/s')}".rstrip()
+    windows = f"--alpha {2 * step:.3g} --beta {10 * step:.3g}"
+    return _Said(
+        "hysteresis",
+        f"{doubt.equation}: what the model leaves runs in loops over {v}: hysteresis is missing, a "
+        f"state that turns round within about {width} of displacement ({type(state).__name__})",
+        f"Find its law by windows that are no longer than it takes to turn (riecjax discover "
+        f"{windows}).",
+        step=f"Find the law of the hysteresis: riecjax discover, with {windows}",
+    )
+
+
 def _of_size(cause: Cause, model: Model, record: Record, says: str) -> _Said:
     """A zero, a gain, a drift, or a term that the model lacks."""
     doubt, size = cause.doubt, cause.size
@@ -473,6 +520,8 @@ def _of_size(cause: Cause, model: Model, record: Record, says: str) -> _Said:
         return _of_zero(cause, model, record, says)
     if isinstance(doubt.element, Ringing):
         return _of_mode(doubt.equation, doubt.element, size)
+    if doubt.memories:
+        return _of_state(doubt, record)
     if doubt.term is not None:
         unit = next(iter(doubt.term.units.values()), "")
         value = f"{doubt.name} = {size:.3g} {unit}".rstrip()

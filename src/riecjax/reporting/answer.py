@@ -30,7 +30,7 @@ from riecjax.records.recording import Recording, common_steps
 from riecjax.reporting.document import SCHEMA, Document, versions
 from riecjax.reporting.equations import model_in_words
 from riecjax.shows import Tabled
-from riecjax.validation.residuals import Loop, Peak
+from riecjax.validation.residuals import Peak
 
 Number = float | None
 Ends = tuple[Number, Number]
@@ -213,7 +213,6 @@ class ResidualTest(Part):
     follows: list[Following]
     band_hz: Number
     peak: Peak | None
-    loop: Loop | None = None
     windows: WindowErrors | None = None
 
 

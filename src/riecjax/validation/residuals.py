@@ -16,19 +16,10 @@ The paper argues by symmetry. Windows drawn at random have one expected mean squ
 and any two of them one cross-correlation epsilon, small if windows are much shorter than the
 record. The symmetry holds before anything is known of the record. On a given one the errors of
 some stretches can outweigh all others, or all errors can share a constant part.
-
-Loops of what a model leaves: a force that depends on the way that the motion came.
-
-A function of velocity or of position that the model has wrong leaves something too. So what any
-such function explains is taken out first: straight lines between knots of each, the direction of
-motion, and the acceleration, which also stands for what is a little late. Where hysteresis is
-missing, a state that goes with the displacement explains most of the rest; where a signal that the
-model does not read changes a force, that signal times the velocity or its direction does. Each is
-judged on parts of the recordings that it was not fitted to.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -40,12 +31,11 @@ from riecjax import tails
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import accelerated, force_elements
-from riecjax.equations.memories import BoucWen, Dahl, pieces_of_way, usual_widths, with_memories
+from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model, as_model, told_apart
-from riecjax.equations.motions import Motion, motions_and_unread
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
-from riecjax.records.record import Record, Records, as_records
+from riecjax.records.record import Records, as_records
 from riecjax.shows import Drawn
 from riecjax.validation.equation_errors import (
     EquationError,
@@ -529,157 +519,6 @@ def _ratio(mean_square: np.ndarray) -> float:
     return float(largest / max(np.min(mean_square), np.finfo(float).tiny)) if largest > 0 else 1.0
 
 
-KNOTS = 9
-"""Of the straight lines that stand for any function of one signal."""
-PARTS = 40
-"""Parts of the recordings, every other of which is explained by the rest."""
-NOTABLE_GAIN = 0.5
-"""Share of what no function explains, from which on it is a loop."""
-MOST_VALUES = 2**16
-"""Values that are enough."""
-
-
-@dataclass(frozen=True)
-class Loop:
-    """What explains most of what no function of velocity or position does.
-
-    **Fields:** `law`, of hysteresis, or empty where the signal `by` changes a force; `motion`;
-    `width` within which it turns round; `gain`, share of the rest that it explains; `size`, root
-    mean square of that relative to the target; `dry`, whether it is dry friction that is changed.
-    """
-
-    law: str
-    motion: Motion
-    width: float
-    by: str
-    gain: float
-    size: float
-    dry: bool = False
-
-    def finding(self, time_step: float) -> Finding:
-        """`hysteresis`, or `residual_follows_signal` of one that the model does not read."""
-        v, x = self.motion.velocity, self.motion.position
-        of_both = f"{v} and {x}" if x else v
-        size = f"{100 * self.size:.2g} % of the target"
-        share = f"{100 * self.gain:.0f} % of what no function of {of_both} explains"
-        if self.by:
-            changed = f"the direction of {v}" if self.dry else v
-            return Finding(
-                "residual_follows_signal",
-                f"what the model leaves follows {self.by} times {changed}, which explains {share}, "
-                f"{size}: {self.by} changes a {'friction' if self.dry else 'damping'} force and "
-                f"the model does not use it. Add a term in it (riecjax discover).",
-                (self.by,),
-            )
-        windows = f"--alpha {2 * time_step:.3g} --beta {10 * time_step:.3g}"
-        width = f"{self.width:.2g} {self.motion.unit}".rstrip()
-        return Finding(
-            "hysteresis",
-            f"what the model leaves runs in loops over {v}: a state that turns round within about "
-            f"{width} of displacement ({self.law}) explains {share}, {size}. Hysteresis is "
-            f"missing: find its law by windows that are no longer than it takes to turn (riecjax "
-            f"discover {windows}).",
-            step=f"Find the law of the hysteresis: riecjax discover, with {windows}",
-        )
-
-
-def loop_of(
-    errors: list[EquationError],
-    records: list[Record],
-    motions: Sequence[Motion],
-    unread: Sequence[str],
-    count: int,
-) -> Loop | None:
-    """The largest loop of an equation's error, if any is notable.
-
-    **Arguments:** `errors` of the equation, one for each of `records`; `motions` that it reads, and
-    signals that the model leaves `unread`; error and regressors are averaged over `count` samples.
-    """
-    error = joined(errors, count)
-    present = np.asarray(error.present)
-    whole = ~np.isnan(averaged(error.series, count))
-
-    def column(values: np.ndarray | Array) -> Float[np.ndarray, " n"]:
-        """Means of values along the error, thinned to as many as are enough."""
-        means = averaged(np.where(present, values, np.nan), count)[whole]
-        return means[:: max(means.size // MOST_VALUES, 1)]
-
-    ends = [column(error.error), column(error.target)]
-    energy = float(np.sum(ends[1] ** 2))
-    part = np.arange(ends[0].size) * PARTS // max(ends[0].size, 1) % 2
-    loops: list[Loop] = []
-    for motion in (motion for motion in motions if motion.velocity):
-        kinds, columns = [], ends[:1]
-        for kind, signals in _regressors(motion, unread, records):
-            values = [np.asarray(of.centred(signal)) for of, signal in zip(errors, signals)]
-            columns.append(column(with_pads(values, count, 0)))
-            kinds.append(kind)
-        # Of those with a kind, the one that explains most of what the others leave of the error.
-        rows = np.stack(columns, axis=1)
-        grams = [rows[part == i].T @ rows[part == i] for i in (0, 1)]
-        base = [1 + i for i, kind in enumerate(kinds) if kind is None]
-        # Functions that are fitted to one half may leave more of the other than there was.
-        before = min(_left(grams, base), sum(float(gram[0, 0]) for gram in grams))
-        if not (before > 0 and energy > 0):
-            continue
-        offered = ((1 + i, kind) for i, kind in enumerate(kinds) if kind is not None)
-        gained = [(before - _left(grams, [*base, at]), kind) for at, kind in offered]
-        # One that is not finite explains nothing, and hides none of the others.
-        much, kind = max(gained, key=lambda one: np.nan_to_num(one[0]))
-        if much > NOTABLE_GAIN * before:
-            loops.append(replace(kind, gain=much / before, size=float(np.sqrt(much / energy))))
-    return max(loops, key=lambda loop: loop.size, default=None)
-
-
-def _regressors(
-    motion: Motion, unread: Sequence[str], records: Sequence[Record]
-) -> Iterator[tuple[Loop | None, list[Float[np.ndarray, " n"]]]]:
-    """What is taken out first, and each that may explain the rest, as signals of each record."""
-    v = _each(records, motion.velocity)
-    # Without a recorded position a spring would pass for a state that goes with the displacement.
-    if motion.position:
-        x = _each(records, motion.position)
-    else:
-        ways = [np.cumsum(pieces_of_way(motion.velocity, record)) for record in records]
-        ways = [np.concatenate([[0.0], way]) for way in ways]
-        places = [np.arange(way.size) for way in ways]
-        x = [w - np.polyval(np.polyfit(at, w, 1), at) for w, at in zip(ways, places)]
-    for signals in (v, x):
-        every = np.concatenate(signals)
-        knots = np.linspace(every.min(), every.max(), KNOTS)
-        for i in range(KNOTS):
-            yield None, [np.interp(one, knots, np.eye(KNOTS)[i]) for one in signals]
-    yield None, [np.sign(one) for one in v]
-    yield None, [np.gradient(one) for one in v]
-    for law in (Dahl, BoucWen):
-        for width in usual_widths(motion.velocity, records):
-            memory = law("state", motion.velocity, float(width))
-            found = Loop(law.__name__, motion, float(width), "", 0.0, 0.0)
-            yield found, [memory.course(record) for record in records]
-    for name in unread:
-        s = _each(records, name)
-        for dry in (False, True):
-            found = Loop("", motion, 0.0, name, 0.0, 0.0, dry)
-            yield found, [one * (np.sign(w) if dry else w) for one, w in zip(s, v)]
-
-
-def _left(grams: Sequence[np.ndarray], columns: Sequence[int]) -> float:
-    """Energy that columns leave of the first, each half by coefficients from the other."""
-    at, total = np.array([0, *columns]), 0.0
-    for fitted, held in (grams, grams[::-1]):
-        gram, moment = fitted[np.ix_(at[1:], at[1:])], fitted[at[1:], 0]
-        size = np.sqrt(np.diagonal(gram))
-        scale = 1 / np.where(size > 0, size, 1.0)
-        theta = np.linalg.pinv(gram * np.outer(scale, scale), 1e-9, hermitian=True)
-        v = np.concatenate([[1.0], -scale * (theta @ (scale * moment))])
-        total += float(v @ held[np.ix_(at, at)] @ v)
-    return total
-
-
-def _each(records: Sequence[Record], name: str) -> list[Float[np.ndarray, " n"]]:
-    return _of_order_one([np.nan_to_num(record.signal(name).with_nan) for record in records])
-
-
 NOTABLE_SIZE = 0.02
 """Share of the target below which an error does not matter."""
 NOTABLE_CORRELATION = 0.3
@@ -715,7 +554,6 @@ class EquationResidual(NamedTuple):
       the first ones of `maps` of which that may be said.
     - `parameters` of the equation, and the signals that its model `names`.
     - `explained`: whether a fault of a sensor explains what is left, which is then no model's.
-    - `loop`: hysteresis, or a signal that changes a force, where that explains most of the rest.
     """
 
     name: str
@@ -735,10 +573,9 @@ class EquationResidual(NamedTuple):
     parameters: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
     explained: bool = False
-    loop: Loop | None = None
 
     def findings(self) -> list[Finding]:
-        """`unmodelled_mode`, `hysteresis`, `residual_follows_signal`, `uneven_errors`."""
+        """`unmodelled_mode`, `residual_follows_signal`, `uneven_errors`."""
         made: list[Finding] = []
         if not self.explained:
             if (peak := self.peak) is not None and peak.size >= NOTABLE_SIZE:
@@ -750,9 +587,6 @@ class EquationResidual(NamedTuple):
                     f"{1 / peak.frequency:.2g} s, over which it averages out."
                 )
                 made.append(Finding("unmodelled_mode", said))
-            if self.loop is not None and self.loop.size >= NOTABLE_SIZE:
-                loop = self.loop.finding(float(self.error.time_step))
-                made.append(loop._replace(message=f"{self.name}: {loop.message}"))
             made += self._following()
         found = [*made, *self._uneven()]
         return [finding._replace(parameters=self.parameters) for finding in found]
@@ -776,7 +610,7 @@ class EquationResidual(NamedTuple):
         )
 
     def _following(self) -> Iterator[Finding]:
-        if not self.follows or (self.loop is not None and self.loop.by):
+        if not self.follows:
             return
         first = self.follows[0]
         size = abs(first.largest)
@@ -860,7 +694,6 @@ class EquationResidual(NamedTuple):
             ],
             "band_hz": self.spectrum.band,
             "peak": self.peak,
-            "loop": self.loop,
             "windows": None
             if windows is None
             else {
@@ -972,12 +805,6 @@ def residual_tests(
         sprung = {spring.of for spring in model.springs}
         elements = force_elements(model.equations, [equation])
         free = {name: t for name, t in elements.items() if not sprung & {*t.parameters}}
-        loop = None
-        if size >= NOTABLE_SIZE:  # hysteresis, or a signal of no name that changes a force
-            units = {name: unit for record in recordings for name, unit in record.units}
-            unread = [name for name in common if name not in named]
-            motions, unread = motions_and_unread(equation, first, {*common}, units, unread)
-            loop = loop_of(of_equation, recordings, motions, unread, count)
         residual = EquationResidual(
             name,
             error.unit,
@@ -993,7 +820,6 @@ def residual_tests(
             carrying=tuple(m.on for m in model.modes if m.term_in(equation) is not None),
             dampers=tuple(name for name, term in free.items() if term.is_linear),
             maps=tuple(name for name, term in free.items() if not term.is_linear),
-            loop=loop,
             parameters=equation.parameters,
             names=tuple(sorted(named)),
             explained=not faulty.isdisjoint(read),
