@@ -23,13 +23,14 @@ Plausible sizes, beyond which a doubt of a sensor is no cause, are shares of wha
 zero or drift of `REACH` times its range, a delay of `LONGEST` samples and of a part of the record.
 """
 
-import functools
+import itertools
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
-from jaxtyping import Float, Int
+import scipy.fft
+from jaxtyping import Complex, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.windows import WindowSet
@@ -60,21 +61,27 @@ SLIGHT = 1e-3
 """Share of a signal's deviation over which slopes are taken, where there is less noise."""
 
 Samples = Float[np.ndarray, " n"]
-Course = Callable[[Samples, Samples], Samples]
-"""Of a signal's samples and their time in seconds from the record's middle, how a fault of unit
-size changes them."""
+Course = Callable[[Samples, Samples, Samples], Samples]
+"""Of a signal's samples, their rate and their time in seconds from the record's middle, how a fault
+of unit size changes them."""
 
 
 class Element(Protocol):
-    """What a machine may have that no term says, by the column that it adds to an equation."""
+    """What a machine may have that no term says, by the column that it adds to an equation: a
+    signal behind a filter."""
+
+    @property
+    def signal(self) -> str:
+        """What goes through the filter."""
+        ...
 
     @property
     def order(self) -> int:
         """Derivatives in front of the column."""
         ...
 
-    def samples(self, record: Record) -> Samples:
-        """Of the column."""
+    def response(self, s: Complex[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
+        """Of the filter, as Laplace transforms it."""
         ...
 
 
@@ -94,11 +101,6 @@ class Doubt:
     equation: str = ""
     meaning: str = ""
     element: Element | None = None
-
-    def changes(self, samples: Samples, time: Samples) -> Samples:
-        """How a fault of unit size changes a signal's samples."""
-        assert self.course is not None
-        return self.course(samples, time)
 
 
 class _Windows(NamedTuple):
@@ -155,9 +157,18 @@ class _Rows(NamedTuple):
     rows: Float[np.ndarray, "columns rows"]
     noises: Sequence[Float[np.ndarray, "columns rows"]]
 
-    def of(self, mix: Float[np.ndarray, "some columns"], names: tuple[str, ...]) -> "_Rows":
-        """The same of these combinations of columns."""
-        return _Rows(names, mix @ self.rows, [mix @ noise for noise in self.noises])
+    def among(self, names: Sequence[str], known: Mapping[str, float]) -> "_Rows":
+        """Rows of these columns, zero where there is none, with what is known in the target."""
+        target = np.array([1.0, *(-known.get(name, 0.0) for name in self.names)])
+        there = [name for name in names if name in self.names]
+        at, own = ([1 + among.index(name) for name in there] for among in (names, self.names))
+
+        def chosen(rows: Float[np.ndarray, "columns rows"]) -> Float[np.ndarray, "some rows"]:
+            found = np.zeros((1 + len(names), rows.shape[1]))
+            found[0], found[at] = target @ rows, rows[own]
+            return found
+
+        return _Rows(tuple(names), chosen(self.rows), [chosen(noise) for noise in self.noises])
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,20 +212,30 @@ class _Columns:
             if further.present is not None:
                 present = further.present if present is None else present & further.present
 
-        def changed(of: Record) -> list[Float[np.ndarray, "orders 1 n"]]:
+        def changed(of: Record) -> Float[np.ndarray, "orders doubts n"]:
             samples = {name: np.asarray(of.arrays[name], float) for name in touched}
-            found = []
-            for doubt in sensors:
-                own = [name for name in doubt.signals if name in slopes]
-                parts = [slopes[name] * doubt.changes(samples[name], time) for name in own]
-                found.append(np.sum(parts, axis=0)[:, None])
+            rates = {name: np.gradient(samples[name], float(of.time_step)) for name in touched}
+            found = np.zeros((1 + smoothness, len(sensors), time.size))
+            for place, doubt in enumerate(sensors):
+                for name in (name for name in doubt.signals if name in slopes):
+                    assert doubt.course is not None
+                    course = doubt.course(samples[name], rates[name], time)
+                    found[:, place] += slopes[name] * course
             return found
 
-        def ringing(of: Record) -> list[np.ndarray]:
-            found: Any = np.zeros((len(elements), *own.values[:, :1].shape))
+        def ringing(of: Record) -> Float[np.ndarray, "orders elements n"]:
+            found = np.zeros((1 + smoothness, len(elements), time.size))
+            # Twice as long, so that no end of the response comes round.
+            size = 2 * int(scipy.fft.next_fast_len(time.size, real=True) or time.size)
+            s = 2j * np.pi * np.fft.rfftfreq(size, float(of.time_step))
+            spectra = {}
+            for name in {element.signal for element in elements}:
+                samples = np.asarray(of.arrays[name], float)
+                spectra[name] = np.fft.rfft(samples - samples.mean(), size)
             for place, element in enumerate(elements):
-                found[place, element.order, 0] = element.samples(of)
-            return list(found)
+                behind = np.fft.irfft(spectra[element.signal] * element.response(s), size)
+                found[element.order, place] = behind[: time.size]
+            return found
 
         def integrated(parts: Sequence[np.ndarray]) -> Float[np.ndarray, "columns rows"]:
             values = np.concatenate(parts, axis=1)
@@ -234,14 +255,14 @@ class _Columns:
             halves = [0.5 * np.asarray(high - low, float) for high, low in pairs]
             parts = [halves[0], *(half[:, 1:] for half in halves[1:])]
             if self.noise == "all":
-                parts += [0.5 * (one - other) for one, other in zip(*map(changed, sides))]
+                parts.append(0.5 * np.subtract(*map(changed, sides)))
             made = integrated(parts)
             return np.pad(made, [(0, len(rows) - len(made)), (0, 0)])
 
         lacked = () if self.lacked is None else self.lacked.parameters
         names = (*lacked, *(doubt.name for doubt in (*sensors, *self.elements)))
         names = (*self.plain.parameters, *names)
-        rows = integrated([*sampled, *changed(record), *ringing(record)])
+        rows = integrated([*sampled, changed(record), ringing(record)])
         noisy = any(record.noise.kernels.get(name) for name in read)
         return _Rows(names, rows, [noise(sides) for sides in copies] if noisy else [])
 
@@ -363,16 +384,6 @@ def _joined(parts: Sequence[_Rows]) -> _Rows:
     return _Rows(parts[0].names, rows, [np.concatenate(noise, axis=1) for noise in noises])
 
 
-def _among(part: _Rows, names: Sequence[str], known: Mapping[str, float]) -> _Rows:
-    """Rows of these columns, zero where an equation has none, with what is known in the target."""
-    mix = np.zeros((1 + len(names), 1 + len(part.names)))
-    mix[0] = [1.0, *(-known.get(name, 0.0) for name in part.names)]
-    for place, name in enumerate(names, 1):
-        if name in part.names:
-            mix[place, 1 + part.names.index(name)] = 1.0
-    return part.of(mix, tuple(names))
-
-
 def _of_stage(
     parts: Sequence[_Rows],
     prefix: str,
@@ -389,7 +400,7 @@ def _of_stage(
 
     def with_known(known: Mapping[str, float]) -> _Rows:
         free = [name for name in every if name not in known]
-        return _joined([_among(part, free, known) for part in parts])
+        return _joined([part.among(free, known) for part in parts])
 
     again = {name: earlier[name] for name in every if name in earlier and name not in asked.known}
     if asked.base:
@@ -407,24 +418,28 @@ def _of_stage(
             found = with_known({**asked.known, **again})
     size = float(np.sqrt(np.mean(found.rows[0] ** 2))) or 1.0
     names = tuple(name if name in doubts else f"{prefix}{name}" for name in found.names)
-    return found.of(np.eye(1 + len(names)) / size, names)
+    return _Rows(names, found.rows / size, [noise / size for noise in found.noises])
 
 
 def _products(stages: Sequence[_Rows], fold: Int[np.ndarray, " rows"]) -> Folds:
     """Sums of products by fold, over all stages."""
     names = tuple(dict.fromkeys(name for stage in stages for name in stage.names))
-    count = 1 + int(fold.max())
-    samples = np.zeros((count, 1 + len(names), 1 + len(names)))
+    edges = np.searchsorted(fold, np.arange(2 + fold[-1])).tolist()  # it ascends
+    samples = np.zeros((len(edges) - 1, 1 + len(names), 1 + len(names)))
     noise = np.zeros_like(samples)
+
+    def add(to: np.ndarray, at: np.ndarray, rows: np.ndarray, share: float) -> None:
+        by_equation = rows.reshape(len(rows), -1, fold.size)
+        for number, (first, last) in enumerate(itertools.pairwise(edges)):
+            part = by_equation[:, :, first:last].reshape(len(rows), -1)
+            to[number, at[:, None], at] += share * (part @ part.T)
+
     for stage in stages:
         at = np.array([0, *(1 + names.index(name) for name in stage.names)])
-        place = np.tile(fold, stage.rows.shape[1] // fold.size)
-        for number in range(count):
-            some = place == number
-            here = number, at[:, None], at
-            samples[here] += stage.rows[:, some] @ stage.rows[:, some].T
-            for one in stage.noises:
-                noise[here] += one[:, some] @ one[:, some].T / len(stage.noises)
+        add(samples, at, stage.rows, 1.0)
+        for one in stage.noises:
+            moved = one.any(axis=1)
+            add(noise, at[moved], one[moved], 1 / len(stage.noises))
     return Folds(samples, samples - noise, names)
 
 
@@ -461,49 +476,48 @@ def longest_delay(records: Sequence[Record]) -> int:
     return min(LONGEST, min(each.sample_count for each in records) // LONGEST_SHARE)
 
 
-def delay_of(signals: tuple[str, ...], step: float) -> Doubt:
+def delay_of(signals: tuple[str, ...]) -> Doubt:
     """That signals come late, in seconds."""
-
-    def course(samples: Samples, time: Samples) -> Samples:
-        return -np.gradient(samples, step)
-
-    return Doubt(f"delay of {' and '.join(signals)}", "delay", signals, course)
+    name = f"delay of {' and '.join(signals)}"
+    return Doubt(name, "delay", signals, lambda samples, rate, time: -rate)
 
 
-def courses_of(signals: tuple[str, ...], record: Record) -> Iterator[Doubt]:
+def courses_of(signals: tuple[str, ...]) -> Iterator[Doubt]:
     """That their delay changes along a record, steadily or by a jump: by one second over it."""
-    step, name = float(record.time_step), " and ".join(signals)
-
-    def changing(by: Callable[[Samples], Samples], samples: Samples, time: Samples) -> Samples:
-        return -np.gradient(samples, step) * by(time / np.ptp(time))
-
-    clock = functools.partial(changing, lambda share: share)
-    yield Doubt(f"clock of {name}", "clock", signals, clock)
+    name = " and ".join(signals)
+    yield Doubt(
+        f"clock of {name}", "clock", signals, lambda samples, rate, time: -rate * _share(time)
+    )
     for place in np.linspace(-0.5, 0.5, JUMPS + 2)[1:-1]:
-        jump = functools.partial(changing, lambda share, place=place: (share > place) * 1.0)
+
+        def jump(samples: Samples, rate: Samples, time: Samples, place: float = place) -> Samples:
+            return np.where(_share(time) > place, -rate, 0.0)
+
         yield Doubt(f"rows of {name} at {place:.3f}", "rows", signals, jump)
+
+
+def _share(time: Samples) -> Samples:
+    """Of the record's time, from -1/2 to 1/2."""
+    return time / np.ptp(time)
 
 
 def sensors(model: Model, records: Sequence[Record], read: set[str]) -> list[Doubt]:
     """What may be amiss with the sensors of the signals that are read, inputs first."""
-    step, found = float(records[0].time_step), []
+    found = []
     for signals in clocks_of(model, read):
-        found.append(delay_of(signals, step))
-        found += courses_of(signals, records[0]) if len(records) == 1 else []
+        found.append(delay_of(signals))
+        found += courses_of(signals) if len(records) == 1 else []
     known = {t.signal for e in model.equations for t in e.terms if not t.parameters}
     for name in sorted(read, key=lambda name: (name not in known, name)):
+        of = (name,)
         found.append(
-            Doubt(f"zero of {name}", "zero", (name,), lambda samples, time: np.ones_like(samples))
+            Doubt(f"zero of {name}", "zero", of, lambda samples, *_: np.ones_like(samples))
         )
         # That of a whole target scales the parameters.
         if not _is_target(model, name):
-            found.append(Doubt(f"gain of {name}", "gain", (name,), lambda samples, time: samples))
+            found.append(Doubt(f"gain of {name}", "gain", of, lambda samples, *_: samples))
         if len(records) == 1:
-            found.append(
-                Doubt(
-                    f"drift of {name}", "drift", (name,), lambda samples, time: time / np.ptp(time)
-                )
-            )
+            found.append(Doubt(f"drift of {name}", "drift", of, lambda *of: _share(of[-1])))
     return found
 
 

@@ -17,8 +17,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy.fft
-from jaxtyping import Float
+from jaxtyping import Complex
 
 from riecjax.doubts.columns import Asked, Doubt, folds_of
 from riecjax.equations.hidden_elements import HiddenMode, accelerated
@@ -54,15 +53,10 @@ class Ringing:
     hertz: float
     damping: float
 
-    def samples(self, record: Record) -> Float[np.ndarray, " n"]:
-        """Of the signal behind the mode's filter, less itself."""
-        samples = np.asarray(record.arrays[self.signal], float)
-        size = 2 * int(scipy.fft.next_fast_len(samples.size, real=True) or samples.size)
-        s = 2j * np.pi * np.fft.rfftfreq(size, float(record.time_step))
+    def response(self, s: Complex[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
+        """Of the mode's filter, less the signal itself."""
         w = 2 * np.pi * self.hertz
-        against = -self.sign * s**2 / (s**2 + 2 * self.damping * w * s + w**2)
-        there = np.fft.rfft(samples - samples.mean(), size)
-        return np.fft.irfft(there * against)[: samples.size]
+        return -self.sign * s**2 / (s**2 + 2 * self.damping * w * s + w**2)
 
 
 class Mode(NamedTuple):
