@@ -61,6 +61,8 @@ SLIGHT = 1e-3
 """Share of a signal's deviation over which slopes are taken, where there is less noise."""
 
 Samples = Float[np.ndarray, " n"]
+Values = Float[np.ndarray, "orders columns n"]
+Windowed = Float[np.ndarray, "columns rows"]
 Course = Callable[[Samples, Samples, Samples], Samples]
 """Of a signal's samples, their rate and their time in seconds from the record's middle, how a fault
 of unit size changes them."""
@@ -154,8 +156,8 @@ class _Rows(NamedTuple):
     each noise makes of them."""
 
     names: tuple[str, ...]
-    rows: Float[np.ndarray, "columns rows"]
-    noises: Sequence[Float[np.ndarray, "columns rows"]]
+    rows: Windowed
+    noises: Sequence[Windowed]
 
     def among(self, names: Sequence[str], known: Mapping[str, float]) -> "_Rows":
         """Rows of these columns, zero where there is none, with what is known in the target."""
@@ -163,7 +165,7 @@ class _Rows(NamedTuple):
         there = [name for name in names if name in self.names]
         at, own = ([1 + among.index(name) for name in there] for among in (names, self.names))
 
-        def chosen(rows: Float[np.ndarray, "columns rows"]) -> Float[np.ndarray, "some rows"]:
+        def chosen(rows: Windowed) -> Windowed:
             found = np.zeros((1 + len(names), rows.shape[1]))
             found[0], found[at] = target @ rows, rows[own]
             return found
@@ -212,7 +214,7 @@ class _Columns:
             if further.present is not None:
                 present = further.present if present is None else present & further.present
 
-        def changed(of: Record) -> Float[np.ndarray, "orders doubts n"]:
+        def changed(of: Record) -> Values:
             samples = {name: np.asarray(of.arrays[name], float) for name in touched}
             rates = {name: np.gradient(samples[name], float(of.time_step)) for name in touched}
             found = np.zeros((1 + smoothness, len(sensors), time.size))
@@ -223,7 +225,7 @@ class _Columns:
                     found[:, place] += slopes[name] * course
             return found
 
-        def ringing(of: Record) -> Float[np.ndarray, "orders elements n"]:
+        def ringing(of: Record) -> Values:
             found = np.zeros((1 + smoothness, len(elements), time.size))
             # Twice as long, so that no end of the response comes round.
             size = 2 * int(scipy.fft.next_fast_len(time.size, real=True) or time.size)
@@ -237,14 +239,14 @@ class _Columns:
                 found[element.order, place] = behind[: time.size]
             return found
 
-        def integrated(parts: Sequence[np.ndarray]) -> Float[np.ndarray, "columns rows"]:
+        def integrated(parts: Sequence[Values]) -> Windowed:
             values = np.concatenate(parts, axis=1)
             names = ("",) * (values.shape[1] - 1)
             columns = Columns(values, present, own.time_step, names)
             rows, valid = criterion.test_function.integrals(columns, windows)
             return rows if valid is None else np.where(valid, rows, 0.0)
 
-        def noise(sides: tuple[Record, Record]) -> Float[np.ndarray, "columns rows"]:
+        def noise(sides: tuple[Record, Record]) -> Windowed:
             equations = [
                 self.plain,
                 *([self.lacked] if self.lacked and self.noise == "all" else []),

@@ -218,7 +218,8 @@ def noisy_columns(
         clean.append(sampled)
     names = equation.parameters
 
-    def sums(*each: Float[Array, "columns n"]) -> Float[Array, "orders columns n"]:
+    # Shapes would be made anew with the function, which takes longer than all that it does.
+    def sums(*each: Array) -> Array:
         orders = (min(term.derivative, smoothness) for term in equation.terms)
         rows = _rows(zip(equation.terms, orders, each), names)
         zero = xp.zeros_like(next(iter(next(iter(rows.values())).values())))
