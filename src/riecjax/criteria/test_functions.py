@@ -59,7 +59,7 @@ from riecjax.criteria.windows import (
 )
 from riecjax.equations.noisy_columns import Columns
 from riecjax.errors import ModelError
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, PlainMethods
 from riecjax.records.record import Record
 from riecjax.records.signal import both
 
@@ -103,7 +103,7 @@ for windows that touch a missing or masked sample and hold no meaning, `None` wh
 none."""
 
 
-class AbstractTestFunction(eqx.Module):
+class AbstractTestFunction(PlainMethods, eqx.Module):
     """A weight on a window, and the integrals of an equation that it makes.
 
     A new one is one subclass. A smooth weight takes a name and a formula: see
