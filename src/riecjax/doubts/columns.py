@@ -24,7 +24,7 @@ zero or drift of `REACH` times its range, a delay of `LONGEST` samples and of a 
 """
 
 import itertools
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, Protocol
 
@@ -48,7 +48,8 @@ from riecjax.records.record import Record
 ROWS = 4096
 """Windows of all records together."""
 MOST_SAMPLES = 2**17
-"""Samples of each record that are looked at: no doubt needs more."""
+"""Samples of each record that are looked at: no doubt needs more. And of all columns that are
+integrated at once: a processor's cache holds them, and more take several times as long."""
 PROBES = {"": 0, "plain": 2, "all": 8}
 """Noises that are put through the columns, by whose noise is taken off."""
 BLOCK = 2
@@ -61,7 +62,7 @@ SLIGHT = 1e-3
 """Share of a signal's deviation over which slopes are taken, where there is less noise."""
 
 Samples = Float[np.ndarray, " n"]
-Values = Float[np.ndarray, "orders columns n"]
+Values = Float[np.ndarray, "orders n"]
 Windowed = Float[np.ndarray, "columns rows"]
 Course = Callable[[Samples, Samples, Samples], Samples]
 """Of a signal's samples, their rate and their time in seconds from the record's middle, how a fault
@@ -152,25 +153,34 @@ def noisy_copies(record: Record, number: int) -> tuple[Record, Record]:
 
 
 class _Rows(NamedTuple):
-    """Of one equation on one record: names of columns behind the target, rows by window, and what
-    each noise makes of them."""
+    """Of one equation: names of columns behind the target, rows by window, and what noise adds to
+    their products by fold of time."""
 
     names: tuple[str, ...]
     rows: Windowed
-    noises: Sequence[Windowed]
+    noise: Float[np.ndarray, "folds columns columns"]
 
     def among(self, names: Sequence[str], known: Mapping[str, float]) -> "_Rows":
         """Rows of these columns, zero where there is none, with what is known in the target."""
-        target = np.array([1.0, *(-known.get(name, 0.0) for name in self.names)])
+        mix = np.zeros((1 + len(names), 1 + len(self.names)))
+        mix[0] = [1.0, *(-known.get(name, 0.0) for name in self.names)]
         there = [name for name in names if name in self.names]
         at, own = ([1 + among.index(name) for name in there] for among in (names, self.names))
+        mix[at, own] = 1.0
+        rows = np.zeros((1 + len(names), self.rows.shape[1]))
+        rows[0], rows[at] = mix[0] @ self.rows, self.rows[own]
+        return _Rows(tuple(names), rows, mix @ self.noise @ mix.T)
 
-        def chosen(rows: Windowed) -> Windowed:
-            found = np.zeros((1 + len(names), rows.shape[1]))
-            found[0], found[at] = target @ rows, rows[own]
-            return found
 
-        return _Rows(tuple(names), chosen(self.rows), [chosen(noise) for noise in self.noises])
+def _products(
+    rows: Windowed, fold: Int[np.ndarray, " windows"], count: int
+) -> Float[np.ndarray, "folds columns columns"]:
+    """Sums of products of rows by fold of their windows, in which these ascend; of one equation
+    after the other."""
+    edges = np.searchsorted(fold, np.arange(count + 1)).tolist()
+    of_equations = rows.reshape(len(rows), -1, fold.size)
+    parts = (of_equations[:, :, a:b].reshape(len(rows), -1) for a, b in itertools.pairwise(edges))
+    return np.stack([part @ part.T for part in parts])
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +201,11 @@ class _Columns:
     noise: str
 
     def rows(
-        self, record: Record, windows: WindowSet, copies: Sequence[tuple[Record, Record]]
+        self,
+        record: Record,
+        windows: _Windows,
+        copies: Sequence[tuple[Record, Record]],
+        folds: int,
     ) -> _Rows:
         """Rows on one record, and what the noise of its `copies` makes of them."""
         criterion, smoothness = self.criterion, self.criterion.smoothness
@@ -214,19 +228,18 @@ class _Columns:
             if further.present is not None:
                 present = further.present if present is None else present & further.present
 
-        def changed(of: Record) -> Values:
+        def changed(of: Record) -> Iterator[Values]:
             samples = {name: np.asarray(of.arrays[name], float) for name in touched}
             rates = {name: np.gradient(samples[name], float(of.time_step)) for name in touched}
-            found = np.zeros((1 + smoothness, len(sensors), time.size))
-            for place, doubt in enumerate(sensors):
-                for name in (name for name in doubt.signals if name in slopes):
-                    assert doubt.course is not None
-                    course = doubt.course(samples[name], rates[name], time)
-                    found[:, place] += slopes[name] * course
-            return found
+            for doubt in sensors:
+                assert doubt.course is not None
+                yield sum(
+                    slopes[name] * doubt.course(samples[name], rates[name], time)
+                    for name in doubt.signals
+                    if name in slopes
+                )
 
-        def ringing(of: Record) -> Values:
-            found = np.zeros((1 + smoothness, len(elements), time.size))
+        def ringing(of: Record) -> Iterator[Values]:
             # Twice as long, so that no end of the response comes round.
             size = 2 * int(scipy.fft.next_fast_len(time.size, real=True) or time.size)
             s = 2j * np.pi * np.fft.rfftfreq(size, float(of.time_step))
@@ -234,17 +247,21 @@ class _Columns:
             for name in {element.signal for element in elements}:
                 samples = np.asarray(of.arrays[name], float)
                 spectra[name] = np.fft.rfft(samples - samples.mean(), size)
-            for place, element in enumerate(elements):
+            for element in elements:
+                column = np.zeros((1 + smoothness, time.size))
                 behind = np.fft.irfft(spectra[element.signal] * element.response(s), size)
-                found[element.order, place] = behind[: time.size]
-            return found
+                column[element.order] = behind[: time.size]
+                yield column
 
-        def integrated(parts: Sequence[Values]) -> Windowed:
-            values = np.concatenate(parts, axis=1)
-            names = ("",) * (values.shape[1] - 1)
-            columns = Columns(values, present, own.time_step, names)
-            rows, valid = criterion.test_function.integrals(columns, windows)
-            return rows if valid is None else np.where(valid, rows, 0.0)
+        def integrated(columns: Iterable[Values]) -> Windowed:
+            rows, columns = [], iter(columns)
+            while some := [*itertools.islice(columns, max(MOST_SAMPLES // time.size, 1))]:
+                values = np.stack(some, axis=1)
+                names = ("",) * (len(some) - 1)
+                made = Columns(values, present, own.time_step, names)
+                found, valid = criterion.test_function.integrals(made, windows.drawn)
+                rows.append(found if valid is None else np.where(valid, found, 0.0))
+            return np.concatenate(rows)
 
         def noise(sides: tuple[Record, Record]) -> Windowed:
             equations = [
@@ -255,18 +272,23 @@ class _Columns:
                 [sampled_columns(e, side, smoothness).values for side in sides] for e in equations
             ]
             halves = [0.5 * np.asarray(high - low, float) for high, low in pairs]
-            parts = [halves[0], *(half[:, 1:] for half in halves[1:])]
+            columns = [halves[0], *(half[:, 1:] for half in halves[1:])]
+            by_column = [np.moveaxis(each, 1, 0) for each in columns]
             if self.noise == "all":
-                parts.append(0.5 * np.subtract(*map(changed, sides)))
-            made = integrated(parts)
-            return np.pad(made, [(0, len(rows) - len(made)), (0, 0)])
+                by_column.append((0.5 * (one - other) for one, other in zip(*map(changed, sides))))
+            return integrated(itertools.chain(*by_column))
 
         lacked = () if self.lacked is None else self.lacked.parameters
         names = (*lacked, *(doubt.name for doubt in (*sensors, *self.elements)))
         names = (*self.plain.parameters, *names)
-        rows = integrated([*sampled, changed(record), ringing(record)])
-        noisy = any(record.noise.kernels.get(name) for name in read)
-        return _Rows(names, rows, [noise(sides) for sides in copies] if noisy else [])
+        by_column = (np.moveaxis(each, 1, 0) for each in sampled)
+        rows = integrated(itertools.chain(*by_column, changed(record), ringing(record)))
+        added = np.zeros((folds, len(rows), len(rows)))
+        if any(record.noise.kernels.get(name) for name in read):
+            for made in map(noise, copies):
+                at = slice(len(made))
+                added[:, at, at] += _products(made, windows.fold, folds) / len(copies)
+        return _Rows(names, rows, added)
 
     def _residual(self, record: Record) -> Float[np.ndarray, "orders n"]:
         columns = sampled_columns(self.plain, record, self.criterion.smoothness)
@@ -351,8 +373,9 @@ def folds_of(
     records = [with_memories(record, model.memories) for record in records]
     windows = windows_of(criterion, records)
     fold = np.concatenate([each.fold for each in windows])
+    count = 1 + int(fold[-1])
     copies = [[noisy_copies(one, i) for i in range(PROBES[noise])] for one in records]
-    of_each = list(zip(records, (each.drawn for each in windows), copies))
+    of_each = list(zip(records, windows, copies))
     sensors = [doubt for doubt in doubts if doubt.course is not None]
     earlier: dict[str, float] = {}
     stages: list[_Rows] = []
@@ -369,21 +392,28 @@ def folds_of(
             lacked = equation.of_terms(*own) if own else None
             inside = [one for one in doubts if one.element is not None and one.equation == name]
             columns = _Columns(equation, lacked, sensors, inside, values, criterion, noise)
-            parts.append(_joined([columns.rows(*one) for one in of_each]))
+            parts.append(_joined([columns.rows(*one, count) for one in of_each]))
         if parts:
             names = {doubt.name for doubt in doubts}
             stages.append(_of_stage(parts, f"{number}.", asked, earlier, names))
         earlier |= values_here
-    return _products(stages, fold)
+    names = tuple(dict.fromkeys(name for stage in stages for name in stage.names))
+    samples = np.zeros((count, 1 + len(names), 1 + len(names)))
+    added = np.zeros_like(samples)
+    for stage in stages:
+        energy = float(np.mean(stage.rows[0] ** 2)) or 1.0
+        at = np.array([0, *(1 + names.index(name) for name in stage.names)])
+        samples[:, at[:, None], at] += _products(stage.rows, fold, count) / energy
+        added[:, at[:, None], at] += stage.noise / energy
+    return Folds(samples, samples - added, names)
 
 
 def _joined(parts: Sequence[_Rows]) -> _Rows:
     """Rows of one equation on one record after the other."""
-    number = max(len(part.noises) for part in parts)
-    nothing = [(np.zeros_like(part.rows),) * (number - len(part.noises)) for part in parts]
-    noises = zip(*((*part.noises, *none) for part, none in zip(parts, nothing)))
+    if len(parts) == 1:
+        return parts[0]
     rows = np.concatenate([part.rows for part in parts], axis=1)
-    return _Rows(parts[0].names, rows, [np.concatenate(noise, axis=1) for noise in noises])
+    return _Rows(parts[0].names, rows, np.sum([part.noise for part in parts], axis=0))
 
 
 def _of_stage(
@@ -393,7 +423,7 @@ def _of_stage(
     earlier: Mapping[str, float],
     doubts: Collection[str],
 ) -> _Rows:
-    """Rows of all equations of a stage, over the size of its target.
+    """Rows of all equations of a stage.
 
     Parameters that `earlier` stages found are free where the stage tells them from its own, and
     something is left for it to explain.
@@ -412,37 +442,12 @@ def _of_stage(
         found = with_known(asked.known)
     if again and not asked.base:
         at = [i for i, name in enumerate(found.names, 1) if name not in doubts]
-        gram = found.rows[at] @ found.rows[at].T
-        for noise in found.noises:
-            gram -= noise[at] @ noise[at].T / len(found.noises)
+        gram = found.rows[at] @ found.rows[at].T - found.noise.sum(0)[np.ix_(at, at)]
         apart = np.all(np.diagonal(gram) > 0) and bool(np.any(found.rows[0]))
         if not apart or np.linalg.eigvalsh(unit_diagonal(gram)[0])[0] < APART:
             found = with_known({**asked.known, **again})
-    size = float(np.sqrt(np.mean(found.rows[0] ** 2))) or 1.0
     names = tuple(name if name in doubts else f"{prefix}{name}" for name in found.names)
-    return _Rows(names, found.rows / size, [noise / size for noise in found.noises])
-
-
-def _products(stages: Sequence[_Rows], fold: Int[np.ndarray, " rows"]) -> Folds:
-    """Sums of products by fold, over all stages."""
-    names = tuple(dict.fromkeys(name for stage in stages for name in stage.names))
-    edges = np.searchsorted(fold, np.arange(2 + fold[-1])).tolist()  # it ascends
-    samples = np.zeros((len(edges) - 1, 1 + len(names), 1 + len(names)))
-    noise = np.zeros_like(samples)
-
-    def add(to: np.ndarray, at: np.ndarray, rows: np.ndarray, share: float) -> None:
-        by_equation = rows.reshape(len(rows), -1, fold.size)
-        for number, (first, last) in enumerate(itertools.pairwise(edges)):
-            part = by_equation[:, :, first:last].reshape(len(rows), -1)
-            to[number, at[:, None], at] += share * (part @ part.T)
-
-    for stage in stages:
-        at = np.array([0, *(1 + names.index(name) for name in stage.names)])
-        add(samples, at, stage.rows, 1.0)
-        for one in stage.noises:
-            moved = one.any(axis=1)
-            add(noise, at[moved], one[moved], 1 / len(stage.noises))
-    return Folds(samples, samples - noise, names)
+    return found._replace(names=names)
 
 
 LONGEST = 32
