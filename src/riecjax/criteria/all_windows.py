@@ -127,18 +127,18 @@ def running_integral(
     An interval whose polynomial would reach over a missing sample takes the trapezoid instead.
     """
     n = samples.shape[1]
-    order, areas = min(order, 2 * (n // 2)), samples[:, :0]
-    if order <= 2 or present is not None:
-        areas = 0.5 * (samples[:, 1:] + samples[:, :-1])
+    order = min(order, 2 * (n // 2))
+    areas = [0.5 * (samples[:, 1:] + samples[:, :-1])] if order == 2 or present is not None else []
     if order > 2:
         # Of the polynomial centred on each interval; at either end of one for several.
         reach, inner = order // 2 - 1, n - order + 1
         weights = interval_weights(order, reach)
         # The weights are the same from either end.
-        middle = sum(
+        outermost, *others = (
             float(w) * (samples[:, j : j + inner] + samples[:, order - 1 - j : n - j])
             for j, w in enumerate(weights[: order // 2])
         )
+        middle = sum(others, start=outermost)
         first, last = (
             xp.stack([ends @ interval_weights(order, at) for at in places], 1)
             for ends, places in (
@@ -146,14 +146,14 @@ def running_integral(
                 (samples[:, n - order :], range(order - 1 - reach, order - 1)),
             )
         )
-        higher = xp.concatenate([first, middle, last], axis=1)
-        if present is None:
-            areas = higher
-        else:  # where every sample of an interval's polynomial is present
+        higher = [first, middle, last]
+        if present is not None:  # where every sample of an interval's polynomial is present
             absent = xp.pad(xp.cumsum(~present), (1, 0))
             first = np.clip(np.arange(n - 1) - (order // 2 - 1), 0, n - order)
-            areas = xp.where((absent[first + order] == absent[first])[None, :], higher, areas)
-    return xp.concatenate([xp.zeros_like(samples[:, :1]), running_sum(areas)], axis=1)
+            whole = (absent[first + order] == absent[first])[None, :]
+            higher = [xp.where(whole, xp.concatenate(higher, axis=1), areas[0])]
+        areas = higher
+    return running_sum(xp.concatenate([xp.zeros_like(samples[:, :1]), *areas], axis=1))
 
 
 @lru_cache
