@@ -28,10 +28,8 @@ if TYPE_CHECKING:
 else:
     Array = jax.Array | np.ndarray
 Tree = TypeVar("Tree")
-KNOWN = frozenset(
-    (np.ndarray, np.float64, np.int64, float, int, bool, str, slice, type, type(None))
-)
-"""Types of what is no array of JAX's, told at once: they are asked thousands of times."""
+KNOWN = frozenset((np.ndarray, np.float64, float, int, bool, str, slice, type(None)))
+"""Types of what is no array of JAX's, which is asked thousands of times."""
 
 
 def is_traced(value: Any) -> bool:

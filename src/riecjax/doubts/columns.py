@@ -23,6 +23,7 @@ Plausible sizes, beyond which a doubt of a sensor is no cause, are shares of wha
 zero or drift of `REACH` times its range, a delay of `LONGEST` samples and of a part of the record.
 """
 
+import functools
 import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -38,12 +39,13 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import accelerated
 from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model
-from riecjax.equations.noisy_columns import Columns, sampled_columns
+from riecjax.equations.noisy_columns import Columns, noisy_columns, sampled_columns
 from riecjax.equations.term import AbstractTerm
 from riecjax.estimation.estimate import Estimate
 from riecjax.folds import FOLDS, Folds
 from riecjax.linear_algebra import unit_diagonal
 from riecjax.records.record import Record
+from riecjax.records.signal import Noise, both
 
 ROWS = 4096
 """Windows of all records together."""
@@ -201,11 +203,7 @@ class _Columns:
     noise: str
 
     def rows(
-        self,
-        record: Record,
-        windows: _Windows,
-        copies: Sequence[tuple[Record, Record]],
-        folds: int,
+        self, record: Record, windows: _Windows, copies: Sequence[tuple[Record, Record]], folds: int
     ) -> _Rows:
         """Rows on one record, and what the noise of its `copies` makes of them."""
         criterion, smoothness = self.criterion, self.criterion.smoothness
@@ -216,28 +214,25 @@ class _Columns:
         slopes = {name: self._slope(record, name) for name in touched}
         time = np.asarray(record.elapsed, float)
         time = time - 0.5 * (time[0] + time[-1])
-        own = criterion.noisy_columns(self.plain, record).columns
-        sampled, present = [np.asarray(own.values, float)], own.present
+        every = self.noise == "all"
+        own = [criterion.noisy_columns(self.plain, record).columns]
         if self.lacked is not None:
-            further = (
-                criterion.noisy_columns(self.lacked, record).columns
-                if self.noise == "all"
-                else sampled_columns(self.lacked, record, smoothness)
-            )
-            sampled.append(np.asarray(further.values, float)[:, 1:])
-            if further.present is not None:
-                present = further.present if present is None else present & further.present
+            noise = None if every else Noise()
+            own.append(noisy_columns(self.lacked, record, smoothness, noise).columns)
+        present = functools.reduce(both, (each.present for each in own))
+
+        def by_column(*of: Columns) -> Iterator[Values]:
+            for number, each in enumerate(of):  # of the first its target, too
+                yield from np.moveaxis(each.values, 1, 0)[min(number, 1) :]
 
         def changed(of: Record) -> Iterator[Values]:
             samples = {name: np.asarray(of.arrays[name], float) for name in touched}
             rates = {name: np.gradient(samples[name], float(of.time_step)) for name in touched}
             for doubt in sensors:
-                assert doubt.course is not None
-                yield sum(
-                    slopes[name] * doubt.course(samples[name], rates[name], time)
-                    for name in doubt.signals
-                    if name in slopes
-                )
+                own, course = [name for name in doubt.signals if name in slopes], doubt.course
+                assert course is not None
+                parts = (slopes[n] * course(samples[n], rates[n], time) for n in own)
+                yield sum(parts, start=np.zeros(time.size))
 
         def ringing(of: Record) -> Iterator[Values]:
             # Twice as long, so that no end of the response comes round.
@@ -256,54 +251,39 @@ class _Columns:
         def integrated(columns: Iterable[Values]) -> Windowed:
             rows, columns = [], iter(columns)
             while some := [*itertools.islice(columns, max(MOST_SAMPLES // time.size, 1))]:
-                values = np.stack(some, axis=1)
-                names = ("",) * (len(some) - 1)
-                made = Columns(values, present, own.time_step, names)
+                values, names = np.stack(some, axis=1), ("",) * (len(some) - 1)
+                made = Columns(values, present, own[0].time_step, names)
                 found, valid = criterion.test_function.integrals(made, windows.drawn)
                 rows.append(found if valid is None else np.where(valid, found, 0.0))
             return np.concatenate(rows)
 
-        def noise(sides: tuple[Record, Record]) -> Windowed:
-            equations = [
-                self.plain,
-                *([self.lacked] if self.lacked and self.noise == "all" else []),
-            ]
-            pairs = [
-                [sampled_columns(e, side, smoothness).values for side in sides] for e in equations
-            ]
-            halves = [0.5 * np.asarray(high - low, float) for high, low in pairs]
-            columns = [halves[0], *(half[:, 1:] for half in halves[1:])]
-            by_column = [np.moveaxis(each, 1, 0) for each in columns]
-            if self.noise == "all":
-                by_column.append((0.5 * (one - other) for one, other in zip(*map(changed, sides))))
-            return integrated(itertools.chain(*by_column))
+        def read_of(side: Record) -> Iterator[Values]:
+            equations = [self.plain, *([self.lacked] if self.lacked and every else [])]
+            yield from by_column(*(sampled_columns(e, side, smoothness) for e in equations))
+            yield from changed(side) if every else ()
 
-        lacked = () if self.lacked is None else self.lacked.parameters
-        names = (*lacked, *(doubt.name for doubt in (*sensors, *self.elements)))
-        names = (*self.plain.parameters, *names)
-        by_column = (np.moveaxis(each, 1, 0) for each in sampled)
-        rows = integrated(itertools.chain(*by_column, changed(record), ringing(record)))
+        columns = [name for each in own for name in each.parameters]
+        columns += [doubt.name for doubt in (*sensors, *self.elements)]
+        rows = integrated(itertools.chain(by_column(*own), changed(record), ringing(record)))
         added = np.zeros((folds, len(rows), len(rows)))
         if any(record.noise.kernels.get(name) for name in read):
-            for made in map(noise, copies):
+            for sides in copies:
+                made = integrated(0.5 * (high - low) for high, low in zip(*map(read_of, sides)))
                 at = slice(len(made))
                 added[:, at, at] += _products(made, windows.fold, folds) / len(copies)
-        return _Rows(names, rows, added)
+        return _Rows(tuple(columns), rows, added)
 
-    def _residual(self, record: Record) -> Float[np.ndarray, "orders n"]:
-        columns = sampled_columns(self.plain, record, self.criterion.smoothness)
-        row = np.array([1.0, *(-self.values[name] for name in self.plain.parameters)])
-        return np.einsum("j,ojn->on", row, np.asarray(columns.values, float))
-
-    def _slope(self, record: Record, name: str) -> Float[np.ndarray, "orders n"]:
+    def _slope(self, record: Record, name: str) -> Values:
         """How the residual changes with a signal."""
         signal = record.signal(name)
         size = max(float(record.noise.std(name)), SLIGHT * float(np.std(signal.values))) or 1.0
+        sides = (replace(signal, values=signal.values + size * sign) for sign in (1, -1))
+        records = (record.with_signals({name: side}) for side in sides)
         high, low = (
-            self._residual(record.with_signals({name: replace(signal, values=values)}))
-            for values in (signal.values + size, signal.values - size)
+            sampled_columns(self.plain, each, self.criterion.smoothness).values for each in records
         )
-        return (high - low) / (2 * size)
+        row = np.array([1.0, *(-self.values[name] for name in self.plain.parameters)])
+        return np.einsum("j,ojn->on", row, high - low) / (2 * size)
 
 
 class Asked(NamedTuple):

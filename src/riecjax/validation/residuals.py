@@ -34,7 +34,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 import scipy
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, Complex, Float
 
 from riecjax import tails
 from riecjax.criteria.windows import AbstractWindows
@@ -157,21 +157,16 @@ def _centred(series: Series) -> Float[np.ndarray, " n"]:
     return np.where(there, series - mean, 0.0)
 
 
-def _correlation(
-    error: Float[np.ndarray, " n"],
-    signal: Float[np.ndarray, " n"],
-    there: Bool[np.ndarray, " n"],
-    lags: Int[np.ndarray, " lags"],
-) -> Float[np.ndarray, " lags"]:
+def _correlation(error: Series, signal: Series, there: np.ndarray, lags: np.ndarray) -> np.ndarray:
     """Mean product of the pairs that are there at each lag, over the root mean squares, of series
     about their means."""
     scale = float(np.linalg.norm(error) * np.linalg.norm(signal)) / max(np.sum(there), 1)
     if not scale > 0:
         return np.where(lags == 0, 1.0 if error is signal else 0.0, 0.0)
     size, (first, second, held) = _spectra(error, signal, there)
-    # Those below zero stand at the end.
-    sums = np.fft.irfft(first * np.conj(second), size).take(lags, mode="wrap")
-    pairs = np.round(np.fft.irfft(np.abs(held) ** 2, size).take(lags, mode="wrap"))
+    products = np.fft.irfft([first * np.conj(second), held * np.conj(held)], size)
+    sums, pairs = products.take(lags, axis=1, mode="wrap")  # those below zero stand at the end
+    pairs = np.round(pairs)
     return np.where(pairs > 0, sums / np.maximum(pairs, 1) / scale, 0.0)
 
 
