@@ -23,7 +23,6 @@ Plausible sizes, beyond which a doubt of a sensor is no cause, are shares of wha
 zero or drift of `REACH` times its range, a delay of `LONGEST` samples and of a part of the record.
 """
 
-import functools
 import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,13 +38,12 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import accelerated
 from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model
-from riecjax.equations.noisy_columns import Columns, noisy_columns, sampled_columns
+from riecjax.equations.noisy_columns import Columns, sampled_columns
 from riecjax.equations.term import AbstractTerm
 from riecjax.estimation.estimate import Estimate
 from riecjax.folds import FOLDS, Folds
 from riecjax.linear_algebra import unit_diagonal
 from riecjax.records.record import Record
-from riecjax.records.signal import Noise, both
 
 ROWS = 4096
 """Windows of all records together."""
@@ -217,9 +215,10 @@ class _Columns:
         every = self.noise == "all"
         own = [criterion.noisy_columns(self.plain, record).columns]
         if self.lacked is not None:
-            noise = None if every else Noise()
-            own.append(noisy_columns(self.lacked, record, smoothness, noise).columns)
-        present = functools.reduce(both, (each.present for each in own))
+            noisy = criterion.noisy_columns(self.lacked, record) if every else None
+            own.append(noisy.columns if noisy else sampled_columns(self.lacked, record, smoothness))
+        masks = [each.present for each in own if each.present is not None]
+        present = np.all(masks, axis=0) if masks else None
 
         def by_column(*of: Columns) -> Iterator[Values]:
             for number, each in enumerate(of):  # of the first its target, too
