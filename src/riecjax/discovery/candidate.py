@@ -232,10 +232,7 @@ def default_candidates(model: Model, records: Sequence[Record]) -> list[AnyCandi
     found = [renamed(c, f"{c.name}_{c.equation}") if called[c.name] > 1 else c for c in found]
     # Where the model has a coefficient of that name, under another one.
     taken = {*model.parameter_names}
-    return [
-        renamed(candidate, f"{candidate.name}_2") if taken & {*candidate.columns} else candidate
-        for candidate in found
-    ]
+    return [renamed(c, f"{c.name}_2") if taken & {*c.columns} else c for c in found]
 
 
 def not_offered(model: Model, records: Sequence[Record]) -> list[Finding]:

@@ -48,8 +48,8 @@ from riecjax.records.record import Record
 ROWS = 4096
 """Windows of all records together."""
 MOST_SAMPLES = 2**17
-"""Samples of each record that are looked at: no doubt needs more. And of all columns that are
-integrated at once: a processor's cache holds them, and more take several times as long."""
+"""Samples of each record that are looked at: no doubt needs more; and of columns at once, which a
+processor's cache holds."""
 PROBES = {"": 0, "plain": 2, "all": 8}
 """Noises that are put through the columns, by whose noise is taken off."""
 BLOCK = 2
@@ -237,10 +237,8 @@ class _Columns:
             # Twice as long, so that no end of the response comes round.
             size = 2 * int(scipy.fft.next_fast_len(time.size, real=True) or time.size)
             s = 2j * np.pi * np.fft.rfftfreq(size, float(of.time_step))
-            spectra = {}
-            for name in {element.signal for element in elements}:
-                samples = np.asarray(of.arrays[name], float)
-                spectra[name] = np.fft.rfft(samples - samples.mean(), size)
+            samples = {name: np.asarray(of.arrays[name]) for name in {e.signal for e in elements}}
+            spectra = {name: np.fft.rfft(x - x.mean(), size) for name, x in samples.items()}
             for element in elements:
                 column = np.zeros((1 + smoothness, time.size))
                 behind = np.fft.irfft(spectra[element.signal] * element.response(s), size)
@@ -278,9 +276,8 @@ class _Columns:
         size = max(float(record.noise.std(name)), SLIGHT * float(np.std(signal.values))) or 1.0
         sides = (replace(signal, values=signal.values + size * sign) for sign in (1, -1))
         records = (record.with_signals({name: side}) for side in sides)
-        high, low = (
-            sampled_columns(self.plain, each, self.criterion.smoothness).values for each in records
-        )
+        smoothness = self.criterion.smoothness
+        high, low = (sampled_columns(self.plain, each, smoothness).values for each in records)
         row = np.array([1.0, *(-self.values[name] for name in self.plain.parameters)])
         return np.einsum("j,ojn->on", row, high - low) / (2 * size)
 
@@ -354,7 +351,6 @@ def folds_of(
     fold = np.concatenate([each.fold for each in windows])
     count = 1 + int(fold[-1])
     copies = [[noisy_copies(one, i) for i in range(PROBES[noise])] for one in records]
-    of_each = list(zip(records, windows, copies))
     sensors = [doubt for doubt in doubts if doubt.course is not None]
     earlier: dict[str, float] = {}
     stages: list[_Rows] = []
@@ -371,6 +367,7 @@ def folds_of(
             lacked = equation.of_terms(*own) if own else None
             inside = [one for one in doubts if one.element is not None and one.equation == name]
             columns = _Columns(equation, lacked, sensors, inside, values, criterion, noise)
+            of_each = zip(records, windows, copies, strict=True)
             parts.append(_joined([columns.rows(*one, count) for one in of_each]))
         if parts:
             names = {doubt.name for doubt in doubts}
@@ -471,9 +468,7 @@ def delay_of(signals: tuple[str, ...]) -> Doubt:
 def courses_of(signals: tuple[str, ...]) -> Iterator[Doubt]:
     """That their delay changes along a record, steadily or by a jump: by one second over it."""
     name = " and ".join(signals)
-    yield Doubt(
-        f"clock of {name}", "clock", signals, lambda samples, rate, time: -rate * _share(time)
-    )
+    yield Doubt(f"clock of {name}", "clock", signals, lambda _, rate, time: -rate * _share(time))
     for place in np.linspace(-0.5, 0.5, JUMPS + 2)[1:-1]:
 
         def jump(samples: Samples, rate: Samples, time: Samples, place: float = place) -> Samples:
@@ -496,9 +491,7 @@ def sensors(model: Model, records: Sequence[Record], read: set[str]) -> list[Dou
     known = {t.signal for e in model.equations for t in e.terms if not t.parameters}
     for name in sorted(read, key=lambda name: (name not in known, name)):
         of = (name,)
-        found.append(
-            Doubt(f"zero of {name}", "zero", of, lambda samples, *_: np.ones_like(samples))
-        )
+        found.append(Doubt(f"zero of {name}", "zero", of, lambda x, *_: np.ones_like(x)))
         # That of a whole target scales the parameters.
         if not _is_target(model, name):
             found.append(Doubt(f"gain of {name}", "gain", of, lambda samples, *_: samples))
