@@ -28,12 +28,13 @@ if TYPE_CHECKING:
 else:
     Array = jax.Array | np.ndarray
 Tree = TypeVar("Tree")
+KNOWN = frozenset((np.ndarray, np.float64, float, int, bool, str, slice, type(None)))
+"""Types of what is no array of JAX's, which is asked thousands of times."""
 
 
 def is_traced(value: Any) -> bool:
     """Whether this array, or one of these, is traced or lives elsewhere than on the host."""
-    kind = type(value)
-    if kind is np.ndarray or kind is float or kind is int:
+    if type(value) in KNOWN:
         return False
     if isinstance(value, tuple | list):
         return any(map(is_traced, value))
@@ -89,7 +90,9 @@ def __getattr__(name: str) -> Any:
 
 def on_host(value: Any) -> Any:
     """An array of JAX's as NumPy's, unless it is traced; anything else as it is."""
-    return np.asarray(value) if isinstance(value, jax.Array) and not is_traced(value) else value
+    if type(value) in KNOWN or not isinstance(value, jax.Array) or is_traced(value):
+        return value
+    return np.asarray(value)
 
 
 def hosted(tree: Tree, *, double: bool = False) -> Tree:

@@ -47,7 +47,7 @@ def test_all_windows_are_the_sum_over_every_single_one(
     bins = LagBins(last - held + 1, last)
     lags = range(shortest, last[-1] + 1)
     phi_of = Primitives(
-        phi, np.zeros(3), np.zeros((3, n - 1)), present if gaps else None, 2 if hat else 1
+        phi, np.zeros(3), np.zeros((3, n)), present if gaps else None, 2 if hat else 1
     )
     blocks = StartBlocks(first, size, number)
     moments, numbers = moments_in_blocks(phi_of, bins, blocks, reach=reach)

@@ -83,7 +83,7 @@ def told(record, model=AXIS):
 def delay_in(record, model=AXIS, signals=("F",)) -> Settled:
     """The delay of the force, whether it explains anything or not."""
     records, estimate = fitted(record, model)
-    found = settled(Asked.of(model, estimate), records, delay_of(signals, STEP), 1.0)
+    found = settled(Asked.of(model, estimate), records, delay_of(signals), 1.0)
     assert found is not None
     return found
 

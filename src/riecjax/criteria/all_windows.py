@@ -127,16 +127,18 @@ def running_integral(
     An interval whose polynomial would reach over a missing sample takes the trapezoid instead.
     """
     n = samples.shape[1]
-    areas = 0.5 * (samples[:, 1:] + samples[:, :-1])
     order = min(order, 2 * (n // 2))
+    areas = [0.5 * (samples[:, 1:] + samples[:, :-1])] if order == 2 or present is not None else []
     if order > 2:
         # Of the polynomial centred on each interval; at either end of one for several.
         reach, inner = order // 2 - 1, n - order + 1
         weights = interval_weights(order, reach)
-        middle = sum(
-            (float(w) * samples[:, j : j + inner] for j, w in enumerate(weights[1:], 1)),
-            start=float(weights[0]) * samples[:, :inner],
+        # The weights are the same from either end.
+        outermost, *others = (
+            float(w) * (samples[:, j : j + inner] + samples[:, order - 1 - j : n - j])
+            for j, w in enumerate(weights[: order // 2])
         )
+        middle = sum(others, start=outermost)
         first, last = (
             xp.stack([ends @ interval_weights(order, at) for at in places], 1)
             for ends, places in (
@@ -144,14 +146,14 @@ def running_integral(
                 (samples[:, n - order :], range(order - 1 - reach, order - 1)),
             )
         )
-        higher = xp.concatenate([first, middle, last], axis=1)
-        if present is None:
-            areas = higher
-        else:  # where every sample of an interval's polynomial is present
+        higher = [first, middle, last]
+        if present is not None:  # where every sample of an interval's polynomial is present
             absent = xp.pad(xp.cumsum(~present), (1, 0))
             first = np.clip(np.arange(n - 1) - (order // 2 - 1), 0, n - order)
-            areas = xp.where((absent[first + order] == absent[first])[None, :], higher, areas)
-    return xp.pad(running_sum(areas), ((0, 0), (1, 0)))
+            whole = (absent[first + order] == absent[first])[None, :]
+            higher = [xp.where(whole, xp.concatenate(higher, axis=1), areas[0])]
+        areas = higher
+    return running_sum(xp.concatenate([xp.zeros_like(samples[:, :1]), *areas], axis=1))
 
 
 @lru_cache
@@ -176,7 +178,7 @@ class Primitives:
 
     - `values`: the s-th running integral of the column less its mean, shape `(columns, n)`.
     - `mean`: the mean times the time step to the power s, shape `(columns,)`.
-    - `bend`: increase of the primitive's slope from each sample to the next.
+    - `slope` of the primitive, the column over a sample.
     - `present`: where every column has its sample and the equation is to be trusted; `None`
       where that is everywhere.
     - `difference`: s, 1 for the boxcar and 2 for the hat.
@@ -184,7 +186,7 @@ class Primitives:
 
     values: Float[Array, "columns n"]
     mean: Float[Array, " columns"]
-    bend: Float[Array, "columns n-1"]
+    slope: Float[Array, "columns n"]
     present: Bool[Array, " n"] | None
     difference: int = dataclasses.field(metadata={"static": True})
 
@@ -200,17 +202,17 @@ class Primitives:
         self, position: Int[Array, " windows"] | Float[Array, " windows"]
     ) -> Float[Array, "columns windows"]:
         if np.issubdtype(position.dtype, np.integer):
-            # A window's columns lie side by side then: one line of cache instead of one for each.
-            return xp.take(self.values.T, position, axis=0).T
+            return xp.take(self.values, position, axis=1)
         # Between samples the integrand is the straight line s_i + x (s_i+1 - s_i), 0 <= x <= 1, so
         # its primitive is F_i + x (F_i+1 - F_i) - x (1 - x) / 2 (s_i+1 - s_i).
         below = xp.clip(position.astype(np.int32), 0, self.values.shape[1] - 2)
         share = (position - below)[None, :]
-        left, right, bend = (
+        left, right, from_, to = (
             xp.take(each, at, axis=1)
-            for each, at in ((self.values, below), (self.values, below + 1), (self.bend, below))
+            for each in (self.values, self.slope)
+            for at in (below, below + 1)
         )
-        return left + share * (right - left) - 0.5 * share * (1 - share) * bend
+        return left + share * (right - left) - 0.5 * share * (1 - share) * (to - from_)
 
 
 class Runs(NamedTuple):

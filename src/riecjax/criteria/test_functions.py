@@ -59,7 +59,7 @@ from riecjax.criteria.windows import (
 )
 from riecjax.equations.noisy_columns import Columns
 from riecjax.errors import ModelError
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, PlainMethods
 from riecjax.records.record import Record
 from riecjax.records.signal import both
 
@@ -103,7 +103,7 @@ for windows that touch a missing or masked sample and hold no meaning, `None` wh
 none."""
 
 
-class AbstractTestFunction(eqx.Module):
+class AbstractTestFunction(PlainMethods, eqx.Module):
     """A weight on a window, and the integrals of an equation that it makes.
 
     A new one is one subclass. A smooth weight takes a name and a formula: see
@@ -268,17 +268,18 @@ class _Differences(AbstractTestFunction):
         (s - k)-fold integrals of values[k]: each joins after k of s integrations.
         """
         s, step, present = self.smoothness, columns.time_step, columns.present
-        values = columns.values[0]
-        mean, bend = xp.zeros_like(values[:, 0]), xp.zeros_like(values[:, 1:])
+        values, mean, slope = columns.values[0], xp.zeros(()), columns.values[0]
         for integrated in range(1, s + 1):
-            values = values * step
-            average = xp.mean(values, axis=1)
+            slope = values * step
+            average = xp.mean(slope, axis=1)
             # A later mean is integrated s - 1 times at most: the s-th difference of that vanishes.
             mean = average * step ** (s - 1) if integrated == 1 else mean
-            bend = xp.diff(values, axis=1)
-            values = running_integral(values - average[:, None], self.quadrature, present)
-            values = values + columns.values[integrated]
-        return Primitives(values, mean, bend, present, s)
+            values = columns.values[integrated]
+            # A column that is all derivative has nothing to integrate.
+            some = slice(None) if xp.is_traced(slope) else np.flatnonzero(slope.any(axis=1))
+            whole = running_integral(slope[some] - average[some, None], self.quadrature, present)
+            values = xp.with_entries(values, some, whole + values[some])
+        return Primitives(values, mean, slope, present, s)
 
     def integrals(self, columns: Columns, windows: WindowSet) -> Integrals:
         """Integral of every column over every window.

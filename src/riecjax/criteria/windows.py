@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike
 from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.errors import DataError, ModelError, require
-from riecjax.leaves import Leaf, as_leaf
+from riecjax.leaves import Leaf, PlainMethods, as_leaf
 from riecjax.records.record import Record
 
 Sums = TypeVar("Sums")
@@ -83,7 +83,7 @@ class WindowSet(NamedTuple):
     stop: Int[Array, " windows"] | Float[Array, " windows"]
 
 
-class AbstractWindows(eqx.Module):
+class AbstractWindows(PlainMethods, eqx.Module):
     """Windows from alpha to beta seconds long, at any place in a record.
 
     To see the most of a motion of frequency f, T = 1 / (2 f) (eq. 26), so choose half a period

@@ -99,6 +99,11 @@ class Shaped:
     equation: str = ""
     remember: Callable[[str, float], Memory] | None = None
 
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of its coefficients once a width is chosen."""
+        return self.at(0, self.name).columns
+
     def at(self, number: int, name: str = "") -> Candidate:
         """The candidate of one of the widths, by a name of that width or another one."""
         name, width = name or f"{self.name}@{number}", float(self.widths[number])
@@ -234,12 +239,7 @@ def default_candidates(model: Model, records: Sequence[Record]) -> list[AnyCandi
     found = [renamed(c, f"{c.name}_{c.equation}") if called[c.name] > 1 else c for c in found]
     # Where the model has a coefficient of that name, under another one.
     taken = {*model.parameter_names}
-    return [
-        renamed(candidate, f"{candidate.name}_2")
-        if taken & {*members([candidate])[0].settled.columns}
-        else candidate
-        for candidate in found
-    ]
+    return [renamed(c, f"{c.name}_2") if taken & {*c.columns} else c for c in found]
 
 
 def not_offered(model: Model, records: Sequence[Record]) -> list[Finding]:

@@ -23,13 +23,14 @@ Plausible sizes, beyond which a doubt of a sensor is no cause, are shares of wha
 zero or drift of `REACH` times its range, a delay of `LONGEST` samples and of a part of the record.
 """
 
-import functools
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
-from jaxtyping import Float, Int
+import scipy.fft
+from jaxtyping import Complex, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.windows import WindowSet
@@ -47,7 +48,8 @@ from riecjax.records.record import Record
 ROWS = 4096
 """Windows of all records together."""
 MOST_SAMPLES = 2**17
-"""Samples of each record that are looked at: no doubt needs more."""
+"""Samples of each record that are looked at: no doubt needs more; and of columns at once, which a
+processor's cache holds."""
 PROBES = {"": 0, "plain": 2, "all": 8}
 """Noises that are put through the columns, by whose noise is taken off."""
 BLOCK = 2
@@ -63,21 +65,29 @@ SLIGHT = 1e-3
 """Share of a signal's deviation over which slopes are taken, where there is less noise."""
 
 Samples = Float[np.ndarray, " n"]
-Course = Callable[[Samples, Samples], Samples]
-"""Of a signal's samples and their time in seconds from the record's middle, how a fault of unit
-size changes them."""
+Values = Float[np.ndarray, "orders n"]
+Windowed = Float[np.ndarray, "columns rows"]
+Course = Callable[[Samples, Samples, Samples], Samples]
+"""Of a signal's samples, their rate and their time in seconds from the record's middle, how a fault
+of unit size changes them."""
 
 
 class Element(Protocol):
-    """What a machine may have that no term says, by the column that it adds to an equation."""
+    """What a machine may have that no term says, by the column that it adds to an equation: a
+    signal behind a filter."""
+
+    @property
+    def signal(self) -> str:
+        """What goes through the filter."""
+        ...
 
     @property
     def order(self) -> int:
         """Derivatives in front of the column."""
         ...
 
-    def samples(self, record: Record) -> Samples:
-        """Of the column."""
+    def response(self, s: Complex[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
+        """Of the filter, as Laplace transforms it."""
         ...
 
 
@@ -99,11 +109,6 @@ class Doubt:
     meaning: str = ""
     element: Element | None = None
     memories: tuple[Memory, ...] = ()
-
-    def changes(self, samples: Samples, time: Samples) -> Samples:
-        """How a fault of unit size changes a signal's samples."""
-        assert self.course is not None
-        return self.course(samples, time)
 
 
 class _Windows(NamedTuple):
@@ -153,16 +158,34 @@ def noisy_copies(record: Record, number: int) -> tuple[Record, Record]:
 
 
 class _Rows(NamedTuple):
-    """Of one equation on one record: names of columns behind the target, rows by window, and what
-    each noise makes of them."""
+    """Of one equation: names of columns behind the target, rows by window, and what noise adds to
+    their products by fold of time."""
 
     names: tuple[str, ...]
-    rows: Float[np.ndarray, "columns rows"]
-    noises: Sequence[Float[np.ndarray, "columns rows"]]
+    rows: Windowed
+    noise: Float[np.ndarray, "folds columns columns"]
 
-    def of(self, mix: Float[np.ndarray, "some columns"], names: tuple[str, ...]) -> "_Rows":
-        """The same of these combinations of columns."""
-        return _Rows(names, mix @ self.rows, [mix @ noise for noise in self.noises])
+    def among(self, names: Sequence[str], known: Mapping[str, float]) -> "_Rows":
+        """Rows of these columns, zero where there is none, with what is known in the target."""
+        mix = np.zeros((1 + len(names), 1 + len(self.names)))
+        mix[0] = [1.0, *(-known.get(name, 0.0) for name in self.names)]
+        there = [name for name in names if name in self.names]
+        at, own = ([1 + among.index(name) for name in there] for among in (names, self.names))
+        mix[at, own] = 1.0
+        rows = np.zeros((1 + len(names), self.rows.shape[1]))
+        rows[0], rows[at] = mix[0] @ self.rows, self.rows[own]
+        return _Rows(tuple(names), rows, mix @ self.noise @ mix.T)
+
+
+def _products(
+    rows: Windowed, fold: Int[np.ndarray, " windows"], count: int
+) -> Float[np.ndarray, "folds columns columns"]:
+    """Sums of products of rows by fold of their windows, in which these ascend; of one equation
+    after the other."""
+    edges = np.searchsorted(fold, np.arange(count + 1)).tolist()
+    of_equations = rows.reshape(len(rows), -1, fold.size)
+    parts = (of_equations[:, :, a:b].reshape(len(rows), -1) for a, b in itertools.pairwise(edges))
+    return np.stack([part @ part.T for part in parts])
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +206,7 @@ class _Columns:
     noise: str
 
     def rows(
-        self, record: Record, windows: WindowSet, copies: Sequence[tuple[Record, Record]]
+        self, record: Record, windows: _Windows, copies: Sequence[tuple[Record, Record]], folds: int
     ) -> _Rows:
         """Rows on one record, and what the noise of its `copies` makes of them."""
         criterion, smoothness = self.criterion, self.criterion.smoothness
@@ -194,76 +217,74 @@ class _Columns:
         slopes = {name: self._slope(record, name) for name in touched}
         time = np.asarray(record.elapsed, float)
         time = time - 0.5 * (time[0] + time[-1])
-        own = criterion.noisy_columns(self.plain, record).columns
-        sampled, present = [np.asarray(own.values, float)], own.present
+        every = self.noise == "all"
+        own = [criterion.noisy_columns(self.plain, record).columns]
         if self.lacked is not None:
-            further = (
-                criterion.noisy_columns(self.lacked, record).columns
-                if self.noise == "all"
-                else sampled_columns(self.lacked, record, smoothness)
-            )
-            sampled.append(np.asarray(further.values, float)[:, 1:])
-            if further.present is not None:
-                present = further.present if present is None else present & further.present
+            noisy = criterion.noisy_columns(self.lacked, record) if every else None
+            own.append(noisy.columns if noisy else sampled_columns(self.lacked, record, smoothness))
+        masks = [each.present for each in own if each.present is not None]
+        present = np.all(masks, axis=0) if masks else None
 
-        def changed(of: Record) -> list[Float[np.ndarray, "orders 1 n"]]:
+        def by_column(*of: Columns) -> Iterator[Values]:
+            for number, each in enumerate(of):  # of the first its target, too
+                yield from np.moveaxis(each.values, 1, 0)[min(number, 1) :]
+
+        def changed(of: Record) -> Iterator[Values]:
             samples = {name: np.asarray(of.arrays[name], float) for name in touched}
-            found = []
+            rates = {name: np.gradient(samples[name], float(of.time_step)) for name in touched}
             for doubt in sensors:
-                own = [name for name in doubt.signals if name in slopes]
-                parts = [slopes[name] * doubt.changes(samples[name], time) for name in own]
-                found.append(np.sum(parts, axis=0)[:, None])
-            return found
+                own, course = [name for name in doubt.signals if name in slopes], doubt.course
+                assert course is not None
+                parts = (slopes[n] * course(samples[n], rates[n], time) for n in own)
+                yield sum(parts, start=np.zeros(time.size))
 
-        def ringing(of: Record) -> list[np.ndarray]:
-            found: Any = np.zeros((len(elements), *own.values[:, :1].shape))
-            for place, element in enumerate(elements):
-                found[place, element.order, 0] = element.samples(of)
-            return list(found)
+        def ringing(of: Record) -> Iterator[Values]:
+            # Twice as long, so that no end of the response comes round.
+            size = 2 * int(scipy.fft.next_fast_len(time.size, real=True) or time.size)
+            s = 2j * np.pi * np.fft.rfftfreq(size, float(of.time_step))
+            samples = {name: np.asarray(of.arrays[name]) for name in {e.signal for e in elements}}
+            spectra = {name: np.fft.rfft(x - x.mean(), size) for name, x in samples.items()}
+            for element in elements:
+                column = np.zeros((1 + smoothness, time.size))
+                behind = np.fft.irfft(spectra[element.signal] * element.response(s), size)
+                column[element.order] = behind[: time.size]
+                yield column
 
-        def integrated(parts: Sequence[np.ndarray]) -> Float[np.ndarray, "columns rows"]:
-            values = np.concatenate(parts, axis=1)
-            names = ("",) * (values.shape[1] - 1)
-            columns = Columns(values, present, own.time_step, names)
-            rows, valid = criterion.test_function.integrals(columns, windows)
-            return rows if valid is None else np.where(valid, rows, 0.0)
+        def integrated(columns: Iterable[Values]) -> Windowed:
+            rows, columns = [], iter(columns)
+            while some := [*itertools.islice(columns, max(MOST_SAMPLES // time.size, 1))]:
+                values, names = np.stack(some, axis=1), ("",) * (len(some) - 1)
+                made = Columns(values, present, own[0].time_step, names)
+                found, valid = criterion.test_function.integrals(made, windows.drawn)
+                rows.append(found if valid is None else np.where(valid, found, 0.0))
+            return np.concatenate(rows)
 
-        def noise(sides: tuple[Record, Record]) -> Float[np.ndarray, "columns rows"]:
-            equations = [
-                self.plain,
-                *([self.lacked] if self.lacked and self.noise == "all" else []),
-            ]
-            pairs = [
-                [sampled_columns(e, side, smoothness).values for side in sides] for e in equations
-            ]
-            halves = [0.5 * np.asarray(high - low, float) for high, low in pairs]
-            parts = [halves[0], *(half[:, 1:] for half in halves[1:])]
-            if self.noise == "all":
-                parts += [0.5 * (one - other) for one, other in zip(*map(changed, sides))]
-            made = integrated(parts)
-            return np.pad(made, [(0, len(rows) - len(made)), (0, 0)])
+        def read_of(side: Record) -> Iterator[Values]:
+            equations = [self.plain, *([self.lacked] if self.lacked and every else [])]
+            yield from by_column(*(sampled_columns(e, side, smoothness) for e in equations))
+            yield from changed(side) if every else ()
 
-        lacked = () if self.lacked is None else self.lacked.parameters
-        names = (*lacked, *(doubt.name for doubt in (*sensors, *self.elements)))
-        names = (*self.plain.parameters, *names)
-        rows = integrated([*sampled, *changed(record), *ringing(record)])
-        noisy = any(record.noise.kernels.get(name) for name in read)
-        return _Rows(names, rows, [noise(sides) for sides in copies] if noisy else [])
+        columns = [name for each in own for name in each.parameters]
+        columns += [doubt.name for doubt in (*sensors, *self.elements)]
+        rows = integrated(itertools.chain(by_column(*own), changed(record), ringing(record)))
+        added = np.zeros((folds, len(rows), len(rows)))
+        if any(record.noise.kernels.get(name) for name in read):
+            for sides in copies:
+                made = integrated(0.5 * (high - low) for high, low in zip(*map(read_of, sides)))
+                at = slice(len(made))
+                added[:, at, at] += _products(made, windows.fold, folds) / len(copies)
+        return _Rows(tuple(columns), rows, added)
 
-    def _residual(self, record: Record) -> Float[np.ndarray, "orders n"]:
-        columns = sampled_columns(self.plain, record, self.criterion.smoothness)
-        row = np.array([1.0, *(-self.values[name] for name in self.plain.parameters)])
-        return np.einsum("j,ojn->on", row, np.asarray(columns.values, float))
-
-    def _slope(self, record: Record, name: str) -> Float[np.ndarray, "orders n"]:
+    def _slope(self, record: Record, name: str) -> Values:
         """How the residual changes with a signal."""
         signal = record.signal(name)
         size = max(float(record.noise.std(name)), SLIGHT * float(np.std(signal.values))) or 1.0
-        high, low = (
-            self._residual(record.with_signals({name: replace(signal, values=values)}))
-            for values in (signal.values + size, signal.values - size)
-        )
-        return (high - low) / (2 * size)
+        sides = (replace(signal, values=signal.values + size * sign) for sign in (1, -1))
+        records = (record.with_signals({name: side}) for side in sides)
+        smoothness = self.criterion.smoothness
+        high, low = (sampled_columns(self.plain, each, smoothness).values for each in records)
+        row = np.array([1.0, *(-self.values[name] for name in self.plain.parameters)])
+        return np.einsum("j,ojn->on", row, high - low) / (2 * size)
 
 
 class Asked(NamedTuple):
@@ -334,8 +355,8 @@ def folds_of(
     records = [with_memories(record, memories) for record in records]
     windows = windows_of(criterion, records)
     fold = np.concatenate([each.fold for each in windows])
+    count = 1 + int(fold[-1])
     copies = [[noisy_copies(one, i) for i in range(PROBES[noise])] for one in records]
-    of_each = list(zip(records, (each.drawn for each in windows), copies))
     sensors = [doubt for doubt in doubts if doubt.course is not None]
     earlier: dict[str, float] = {}
     stages: list[_Rows] = []
@@ -352,31 +373,29 @@ def folds_of(
             lacked = equation.of_terms(*own) if own else None
             inside = [one for one in doubts if one.element is not None and one.equation == name]
             columns = _Columns(equation, lacked, sensors, inside, values, criterion, noise)
-            parts.append(_joined([columns.rows(*one) for one in of_each]))
+            of_each = zip(records, windows, copies, strict=True)
+            parts.append(_joined([columns.rows(*one, count) for one in of_each]))
         if parts:
             names = {doubt.name for doubt in doubts}
             stages.append(_of_stage(parts, f"{number}.", asked, earlier, names))
         earlier |= values_here
-    return _products(stages, fold)
+    names = tuple(dict.fromkeys(name for stage in stages for name in stage.names))
+    samples = np.zeros((count, 1 + len(names), 1 + len(names)))
+    added = np.zeros_like(samples)
+    for stage in stages:
+        energy = float(np.mean(stage.rows[0] ** 2)) or 1.0
+        at = np.array([0, *(1 + names.index(name) for name in stage.names)])
+        samples[:, at[:, None], at] += _products(stage.rows, fold, count) / energy
+        added[:, at[:, None], at] += stage.noise / energy
+    return Folds(samples, samples - added, names)
 
 
 def _joined(parts: Sequence[_Rows]) -> _Rows:
     """Rows of one equation on one record after the other."""
-    number = max(len(part.noises) for part in parts)
-    nothing = [(np.zeros_like(part.rows),) * (number - len(part.noises)) for part in parts]
-    noises = zip(*((*part.noises, *none) for part, none in zip(parts, nothing)))
+    if len(parts) == 1:
+        return parts[0]
     rows = np.concatenate([part.rows for part in parts], axis=1)
-    return _Rows(parts[0].names, rows, [np.concatenate(noise, axis=1) for noise in noises])
-
-
-def _among(part: _Rows, names: Sequence[str], known: Mapping[str, float]) -> _Rows:
-    """Rows of these columns, zero where an equation has none, with what is known in the target."""
-    mix = np.zeros((1 + len(names), 1 + len(part.names)))
-    mix[0] = [1.0, *(-known.get(name, 0.0) for name in part.names)]
-    for place, name in enumerate(names, 1):
-        if name in part.names:
-            mix[place, 1 + part.names.index(name)] = 1.0
-    return part.of(mix, tuple(names))
+    return _Rows(parts[0].names, rows, np.sum([part.noise for part in parts], axis=0))
 
 
 def _of_stage(
@@ -386,7 +405,7 @@ def _of_stage(
     earlier: Mapping[str, float],
     doubts: Collection[str],
 ) -> _Rows:
-    """Rows of all equations of a stage, over the size of its target.
+    """Rows of all equations of a stage.
 
     Parameters that `earlier` stages found are free where the stage tells them from its own, and
     something is left for it to explain.
@@ -395,7 +414,7 @@ def _of_stage(
 
     def with_known(known: Mapping[str, float]) -> _Rows:
         free = [name for name in every if name not in known]
-        return _joined([_among(part, free, known) for part in parts])
+        return _joined([part.among(free, known) for part in parts])
 
     again = {name: earlier[name] for name in every if name in earlier and name not in asked.known}
     if asked.base:
@@ -405,33 +424,12 @@ def _of_stage(
         found = with_known(asked.known)
     if again and not asked.base:
         at = [i for i, name in enumerate(found.names, 1) if name not in doubts]
-        gram = found.rows[at] @ found.rows[at].T
-        for noise in found.noises:
-            gram -= noise[at] @ noise[at].T / len(found.noises)
+        gram = found.rows[at] @ found.rows[at].T - found.noise.sum(0)[np.ix_(at, at)]
         apart = np.all(np.diagonal(gram) > 0) and bool(np.any(found.rows[0]))
         if not apart or np.linalg.eigvalsh(unit_diagonal(gram)[0])[0] < APART:
             found = with_known({**asked.known, **again})
-    size = float(np.sqrt(np.mean(found.rows[0] ** 2))) or 1.0
     names = tuple(name if name in doubts else f"{prefix}{name}" for name in found.names)
-    return found.of(np.eye(1 + len(names)) / size, names)
-
-
-def _products(stages: Sequence[_Rows], fold: Int[np.ndarray, " rows"]) -> Folds:
-    """Sums of products by fold, over all stages."""
-    names = tuple(dict.fromkeys(name for stage in stages for name in stage.names))
-    count = 1 + int(fold.max())
-    samples = np.zeros((count, 1 + len(names), 1 + len(names)))
-    noise = np.zeros_like(samples)
-    for stage in stages:
-        at = np.array([0, *(1 + names.index(name) for name in stage.names)])
-        place = np.tile(fold, stage.rows.shape[1] // fold.size)
-        for number in range(count):
-            some = place == number
-            here = number, at[:, None], at
-            samples[here] += stage.rows[:, some] @ stage.rows[:, some].T
-            for one in stage.noises:
-                noise[here] += one[:, some] @ one[:, some].T / len(stage.noises)
-    return Folds(samples, samples - noise, names)
+    return found._replace(names=names)
 
 
 LONGEST = 32
@@ -467,51 +465,51 @@ def longest_delay(records: Sequence[Record]) -> int:
     return min(LONGEST, min(each.sample_count for each in records) // LONGEST_SHARE)
 
 
-def delay_of(signals: tuple[str, ...], step: float) -> Doubt:
+def delay_of(signals: tuple[str, ...]) -> Doubt:
     """That signals come late, in seconds."""
-
-    def course(samples: Samples, time: Samples) -> Samples:
-        return -np.gradient(samples, step)
-
-    return Doubt(f"delay of {' and '.join(signals)}", "delay", signals, course)
+    name = f"delay of {' and '.join(signals)}"
+    return Doubt(name, "delay", signals, lambda samples, rate, time: -rate)
 
 
 def zero_of(name: str) -> Doubt:
     """That a signal is off by a constant."""
-    return Doubt(f"zero of {name}", "zero", (name,), lambda samples, time: np.ones_like(samples))
+    return Doubt(f"zero of {name}", "zero", (name,), lambda samples, *_: np.ones_like(samples))
 
 
 def drift_of(name: str) -> Doubt:
     """That a signal drifts by one along a record."""
-    return Doubt(f"drift of {name}", "drift", (name,), lambda samples, time: time / np.ptp(time))
+    return Doubt(f"drift of {name}", "drift", (name,), lambda *of: _share(of[-1]))
 
 
-def courses_of(signals: tuple[str, ...], record: Record) -> Iterator[Doubt]:
+def courses_of(signals: tuple[str, ...]) -> Iterator[Doubt]:
     """That their delay changes along a record, steadily or by a jump: by one second over it."""
-    step, name = float(record.time_step), " and ".join(signals)
-
-    def changing(by: Callable[[Samples], Samples], samples: Samples, time: Samples) -> Samples:
-        return -np.gradient(samples, step) * by(time / np.ptp(time))
-
-    clock = functools.partial(changing, lambda share: share)
-    yield Doubt(f"clock of {name}", "clock", signals, clock)
+    name = " and ".join(signals)
+    yield Doubt(f"clock of {name}", "clock", signals, lambda _, rate, time: -rate * _share(time))
     for place in np.linspace(-0.5, 0.5, JUMPS + 2)[1:-1]:
-        jump = functools.partial(changing, lambda share, place=place: (share > place) * 1.0)
+
+        def jump(samples: Samples, rate: Samples, time: Samples, place: float = place) -> Samples:
+            return np.where(_share(time) > place, -rate, 0.0)
+
         yield Doubt(f"rows of {name} at {place:.3f}", "rows", signals, jump)
+
+
+def _share(time: Samples) -> Samples:
+    """Of the record's time, from -1/2 to 1/2."""
+    return time / np.ptp(time)
 
 
 def sensors(model: Model, records: Sequence[Record], read: set[str]) -> list[Doubt]:
     """What may be amiss with the sensors of the signals that are read, inputs first."""
-    step, found = float(records[0].time_step), []
+    found = []
     for signals in clocks_of(model, read):
-        found.append(delay_of(signals, step))
-        found += courses_of(signals, records[0]) if len(records) == 1 else []
+        found.append(delay_of(signals))
+        found += courses_of(signals) if len(records) == 1 else []
     known = {t.signal for e in model.equations for t in e.terms if not t.parameters}
     for name in sorted(read, key=lambda name: (name not in known, name)):
         found.append(zero_of(name))
         # That of a whole target scales the parameters.
         if not _is_target(model, name):
-            found.append(Doubt(f"gain of {name}", "gain", (name,), lambda samples, time: samples))
+            found.append(Doubt(f"gain of {name}", "gain", (name,), lambda samples, *_: samples))
         if len(records) == 1:
             found.append(drift_of(name))
     return found

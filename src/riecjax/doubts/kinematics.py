@@ -186,7 +186,7 @@ def _weighed(relation: Relation, record: Record, by: Sequence[str] = ()) -> Weig
     windows = AllWindows(max(longest // SHORTEST, 2) * step, longest * step)
     doubts = list[Doubt]()
     for name in by or (relation.names if len(terms) > 1 else terms):
-        doubts += [delay_of((name,), step), *courses_of((name,), record)]
+        doubts += [delay_of((name,)), *courses_of((name,))]
         doubts += [zero_of(name), drift_of(name)] if name in terms else []
     values = dict(relation.of)
     asked = Asked(_model(relation), RIEC(windows, Hat()), values, {}, [f"0.{n}" for n in values])

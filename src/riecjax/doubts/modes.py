@@ -17,8 +17,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy.fft
-from jaxtyping import Float
+from jaxtyping import Complex
 
 from riecjax.doubts.columns import Asked, Doubt, folds_of
 from riecjax.equations.hidden_elements import HiddenMode, accelerated
@@ -54,15 +53,10 @@ class Ringing:
     hertz: float
     damping: float
 
-    def samples(self, record: Record) -> Float[np.ndarray, " n"]:
-        """Of the signal behind the mode's filter, less itself."""
-        samples = np.asarray(record.arrays[self.signal], float)
-        size = 2 * int(scipy.fft.next_fast_len(samples.size, real=True) or samples.size)
-        s = 2j * np.pi * np.fft.rfftfreq(size, float(record.time_step))
-        w = 2 * np.pi * self.hertz
-        against = -self.sign * s**2 / (s**2 + 2 * self.damping * w * s + w**2)
-        there = np.fft.rfft(samples - samples.mean(), size)
-        return np.fft.irfft(there * against)[: samples.size]
+    def response(self, s: Complex[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
+        """Of the mode's filter, less the signal itself."""
+        w, square = 2 * np.pi * self.hertz, s**2
+        return -self.sign * square / (square + 2 * self.damping * w * s + w**2)
 
 
 class Mode(NamedTuple):
@@ -130,14 +124,15 @@ class _Body(NamedTuple):
         shapes = np.array([(hertz, damping) for hertz in grid for damping in DAMPING]).T
         best = self._best_of(*shapes)
         apart = np.log([grid[1] / grid[0], DAMPING[1] / DAMPING[0]])
-        around = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]).T
+        around = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]).T
         for closer in 0.5 ** np.arange(1, CLOSER + 1):
             if best is None:
                 break
             near = np.exp(around * closer * apart[:, None])
             hertz, damping = np.array([[best.hertz], [best.damping]]) * near
             hertz = np.clip(hertz, slowest, fastest)
-            best = self._best_of(hertz, np.minimum(damping, MOST_DAMPED))
+            found = self._best_of(hertz, np.minimum(damping, MOST_DAMPED))
+            best = max(best, found or best, key=lambda mode: mode.gained)
         # At an end of the band it is something slower or faster.
         inside = best is not None and AT_END * slowest < best.hertz < fastest / AT_END
         return best if inside else None

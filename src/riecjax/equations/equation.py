@@ -12,7 +12,7 @@ from riecjax.equations.expressions import evaluate, label_of, read_expression, s
 from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, from_elsewhere, samples_of
 from riecjax.errors import ModelError, require
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, PlainMethods
 from riecjax.records.reading.units import contradict
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal
@@ -22,7 +22,7 @@ PROBE = 64
 """Samples that an expression is tried on."""
 
 
-class Equation(Shown, eqx.Module):
+class Equation(PlainMethods, Shown, eqx.Module):
     """Terms that sum to zero, up to the equation error.
 
     Each is a coefficient times a time derivative of an expression of the signals. With the known

@@ -37,7 +37,7 @@ from riecjax.equations.memories import Memory
 from riecjax.equations.quantity import BY_EQUATIONS, FrozenDict, Machine, Quantity
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, refuse_unknown, require
-from riecjax.leaves import Leaf, is_number
+from riecjax.leaves import Leaf, PlainMethods, is_number
 from riecjax.records.record import Record
 from riecjax.shows import Shown
 
@@ -82,7 +82,7 @@ def _in_stages(given: "Sequence[Equation | Sequence[Equation]] | Equation | Mode
     return tuple(stages)
 
 
-class Model(Shown, eqx.Module):
+class Model(PlainMethods, Shown, eqx.Module):
     """Equations in stages, what they leave out, and what is known of their signals.
 
     It can be identified, simulated, or both; a model of equations is simulated by these. Where

@@ -31,6 +31,7 @@ r with each source, and what is left at one sample is a sum of three squares,
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
@@ -218,16 +219,14 @@ def noisy_columns(
         clean.append(sampled)
     names = equation.parameters
 
-    def sums(*each: Float[Array, "columns n"]) -> Float[Array, "orders columns n"]:
+    # Shapes would be made anew with the function, which takes longer than all that it does.
+    def sums(*each: Array) -> Array:
         orders = (min(term.derivative, smoothness) for term in equation.terms)
         rows = _rows(zip(equation.terms, orders, each), names)
         zero = xp.zeros_like(next(iter(next(iter(rows.values())).values())))
-        return xp.stack(
-            [
-                xp.stack([rows.get(order, {}).get(row, zero) for row in range(1 + len(names))])
-                for order in range(smoothness + 1)
-            ]
-        )
+        places = itertools.product(range(smoothness + 1), range(1 + len(names)))
+        every = xp.stack([rows.get(order, {}).get(row, zero) for order, row in places])
+        return every.reshape(smoothness + 1, -1, zero.size)
 
     samples: Any = combined(sums, *clean)
     if equation.where is not None:

@@ -20,7 +20,7 @@ from riecjax.errors import ModelError
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, PlainMethods
 from riecjax.linear_algebra import gram_condition_limit
 from riecjax.shows import Tabled, save
 from riecjax.summaries.summary import Summary
@@ -144,7 +144,7 @@ class Search(eqx.Module):
         return ", ".join(f"{number} x {words}" for words, number in ended.items())
 
 
-class Estimate(Tabled, eqx.Module):
+class Estimate(PlainMethods, Tabled, eqx.Module):
     """Parameters with units and uncertainty, and how they were obtained.
 
     Read one by one as from a mapping: `estimate["M_s"]`. A pytree: `theta` and the covariance

@@ -21,7 +21,7 @@ from riecjax.equations.hidden_elements import HiddenElement, HiddenMode, SeriesS
 from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError, refuse_unknown, require
-from riecjax.leaves import Leaf, is_number
+from riecjax.leaves import Leaf, PlainMethods, is_number
 from riecjax.summaries.task import require_key
 
 Value = TypeVar("Value")
@@ -62,7 +62,7 @@ class Parameter(NamedTuple):
         return NEVER_NEGATIVE.get(plain, "")
 
 
-class ParameterTable(eqx.Module):
+class ParameterTable(PlainMethods, eqx.Module):
     """The parameters of a model over several recordings.
 
     Bounds and priors of its free parameters are arrays that may be traced, in their order: they

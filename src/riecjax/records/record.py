@@ -429,7 +429,9 @@ def _owned(values: Any, dtype: Any) -> Array:
     """An array that no one else writes to, of NumPy and in double precision unless it is traced."""
     if xp.is_traced(values):
         return jnp.asarray(values, dtype)
-    owned = np.array(values, dtype)
+    # One that was owned before, as of a record with another signal.
+    known = type(values) is np.ndarray and values.base is None and not values.flags.writeable
+    owned = np.array(values, dtype, copy=None if known else True)
     owned.flags.writeable = False
     return owned
 

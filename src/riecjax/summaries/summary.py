@@ -16,7 +16,7 @@ from riecjax.criteria.criterion import PARTS, AbstractCriterion
 from riecjax.criteria.windows import MOST_BLOCKS, LengthBins
 from riecjax.equations.model import Model
 from riecjax.errors import DataError, ModelError, require
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, PlainMethods
 from riecjax.linear_algebra import factor_of_gram, joined_factor
 from riecjax.records.signal import Noise
 from riecjax.shows import Shown
@@ -37,7 +37,7 @@ UNKNOWN = "0" * 64
 """Digest of a recording that was summed by jit."""
 
 
-class Summary(Shown, eqx.Module):
+class Summary(PlainMethods, Shown, eqx.Module):
     """What recordings say to a model under a criterion: moments of short blocks of time.
 
     Sums of recordings, files and machines add up, so that summaries merge, and the samples are not

@@ -30,7 +30,7 @@ from riecjax.equations.model import Model, as_model
 from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.parameters import values_in_recording
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, PlainMethods
 from riecjax.records.record import Record, runs
 
 
@@ -40,7 +40,7 @@ def share_of(part: Any, whole: Any) -> Any:
     return xp.where(there, part / xp.where(there, whole, 1.0), 0.0)
 
 
-class EquationError(eqx.Module):
+class EquationError(PlainMethods, eqx.Module):
     """What one equation leaves over time, in the equation's unit.
 
     The equation reads `target = explained + error`. Its target is the term without a coefficient,

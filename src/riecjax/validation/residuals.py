@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 import scipy
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Complex, Float
 
 from riecjax import tails
 from riecjax.criteria.windows import AbstractWindows
@@ -117,7 +117,9 @@ def autocorrelation(series: Series, lags: int, time_step: float) -> Correlation:
     """Autocorrelation about the mean at lags from zero; zeros of a series that does not vary."""
     held, forward = np.count_nonzero(~np.isnan(series)), np.arange(lags + 1)
     bound = float(tails.normal(LEVEL / 2) / np.sqrt(max(held, 1)))
-    return Correlation("", forward * time_step, _correlation(series, series, forward), bound)
+    centred = _centred(series)
+    values = _correlation(centred, centred, ~np.isnan(series), forward)
+    return Correlation("", forward * time_step, values, bound)
 
 
 def cross_correlation(
@@ -128,13 +130,14 @@ def cross_correlation(
     The bound takes Bartlett's variance, and Bonferroni's correction for as many lags as are
     independent, of this and of all `signals`.
     """
-    missing = np.isnan(error) | np.isnan(signal)
-    error, signal = (np.where(missing, np.nan, series) for series in (error, signal))
+    there = ~(np.isnan(error) | np.isnan(signal))
+    error, signal = (_centred(np.where(there, series, np.nan)) for series in (error, signal))
     around = np.arange(-lags, lags + 1)
-    variance = bartlett_variance(_centred(error), _centred(signal))
-    apart = max(around.size / max(variance * np.count_nonzero(~missing), 1.0), 1.0)
+    variance = bartlett_variance(error, signal)
+    apart = max(around.size / max(variance * np.count_nonzero(there), 1.0), 1.0)
     bound = float(tails.normal(LEVEL / (2 * apart * signals)) * np.sqrt(variance))
-    return Correlation(name, around * time_step, _correlation(error, signal, around), bound)
+    values = _correlation(error, signal, there, around)
+    return Correlation(name, around * time_step, values, bound)
 
 
 def _centred(series: Series) -> Float[np.ndarray, " n"]:
@@ -144,26 +147,24 @@ def _centred(series: Series) -> Float[np.ndarray, " n"]:
     return np.where(there, series - mean, 0.0)
 
 
-def _correlation(
-    error: Series, signal: Series, lags: Int[np.ndarray, " lags"]
-) -> Float[np.ndarray, " lags"]:
-    """Mean product of the pairs that are present at each lag, over the root mean squares."""
-    present = [(~np.isnan(series)).astype(float) for series in (error, signal)]
-    centred = [_centred(series) for series in (error, signal)]
-    squares = (np.sum(c**2) / max(np.sum(p), 1) for c, p in zip(centred, present))
-    scale = np.sqrt(np.prod([*squares]))
+def _correlation(error: Series, signal: Series, there: np.ndarray, lags: np.ndarray) -> np.ndarray:
+    """Mean product of the pairs that are there at each lag, over the root mean squares, of series
+    about their means."""
+    scale = float(np.linalg.norm(error) * np.linalg.norm(signal)) / max(np.sum(there), 1)
     if not scale > 0:
         return np.where(lags == 0, 1.0 if error is signal else 0.0, 0.0)
-    sums, pairs = (np.take(_products(*pair), lags, mode="wrap") for pair in (centred, present))
+    size, (first, second, held) = _spectra(error, signal, there)
+    products = np.fft.irfft([first * np.conj(second), held * np.conj(held)], size)
+    sums, pairs = products.take(lags, axis=1, mode="wrap")  # those below zero stand at the end
     pairs = np.round(pairs)
     return np.where(pairs > 0, sums / np.maximum(pairs, 1) / scale, 0.0)
 
 
-def _products(mine: Float[np.ndarray, " n"], theirs: Float[np.ndarray, " n"]) -> np.ndarray:
-    """Sum over t of mine[t + lag] theirs[t] at each lag, those below zero from the end on."""
-    size = scipy.fft.next_fast_len(2 * mine.size, real=True)
-    spectrum = np.fft.rfft(mine, size) * np.conj(np.fft.rfft(theirs, size))
-    return np.fft.irfft(spectrum, size)
+def _spectra(*series: np.ndarray) -> tuple[int, list[Complex[np.ndarray, " frequencies"]]]:
+    """Of series with zeros behind them, as many as keep their products at all lags apart; and the
+    samples of both."""
+    size = int(scipy.fft.next_fast_len(2 * series[0].size, real=True) or 0)
+    return size, [np.fft.rfft(each, size) for each in series]
 
 
 def averaged(series: Series, count: int) -> Series:
@@ -180,10 +181,12 @@ def bartlett_variance(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n
 
     Of series about their means, zero where a sample is missing; 0 of a silent one.
     """
-    first, second = (_products(series, series) for series in (one, other))
-    scale = first[0] * second[0]
+    size, spectra = _spectra(one, other)
+    # A sum over all lags is one over all frequencies (Parseval).
+    products = np.fft.irfft(np.prod(np.abs(spectra) ** 2, axis=0), size)[0]
+    scale = np.sum(one**2) * np.sum(other**2)
     count = np.count_nonzero((one != 0) | (other != 0))
-    return float(np.sum(first * second) / (scale * count)) if scale > 0 and count else 0.0
+    return float(products / (scale * count)) if scale > 0 and count else 0.0
 
 
 def _of_order_one(series: Sequence[np.ndarray]) -> list[np.ndarray]:

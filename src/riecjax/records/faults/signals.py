@@ -159,10 +159,11 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
     for left_out in (*combinations(range(len(rows)), 1), *combinations(range(len(rows)), 2)):
         kept = np.append(np.flatnonzero(~np.isin(signal_of_row, left_out)), signal_of_row.size)
         weights = np.linalg.lstsq(triangle[:, kept], triangle[:, -1], rcond=1e-10)[0]
-        error = float(np.std(columns[-1, free] - weights @ columns[np.ix_(kept, free)]))
+        # About zero: the constant is among them.
+        error = float(np.linalg.norm(triangle[:, -1] - triangle[:, kept] @ weights))
         beyond = side.sign * (weights @ there[kept] - side.extreme / size)
         surely = np.mean(beyond) + 2 * np.std(beyond) / np.sqrt(side.starts.size)
-        if error**2 < 1 - FOLLOWED and surely < BEYOND:
+        if error**2 < (1 - FOLLOWED) * free.size and surely < BEYOND:
             return True
     return False
 
