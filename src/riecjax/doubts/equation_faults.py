@@ -103,7 +103,7 @@ class Weighing:
         asked = asked._replace(base=rough.base)
         if not rough.is_promising:
             rough.offered = []
-            return cls(asked, records, rough)
+            return cls(asked, records, rough, ringing=ringing)
         fixed = asked.resting_on_earlier
         near = [doubt for doubt in rough.nearest(NEAR) if doubt.equation not in fixed]
         folds = folds_of(asked, records, near)
