@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
+from riecjax.doubts.reading import read_record
 from riecjax.errors import RiecjaxError
-from riecjax.records.recording import read_record
 
 
 def outcome(path: Path, content: bytes) -> str | None:

@@ -29,8 +29,8 @@ from benchmarks.robustness.formats import ALL_WRITERS, SLOW
 from benchmarks.robustness.mutations import NAMES, TRUTH, Case, mutated, rigs
 from benchmarks.robustness.watched import Watched
 from riecjax.cli.main import run
+from riecjax.doubts.reading import read_recordings
 from riecjax.errors import RiecjaxError, printable
-from riecjax.records.recording import read_recordings
 
 CLOSE = 0.05
 """Share of a parameter that an answer may be off: what one machine differs from the next of its

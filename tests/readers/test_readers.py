@@ -22,9 +22,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from damage import damaged, outcome
+from riecjax.doubts.reading import read_record, read_recording
 from riecjax.errors import DataError
 from riecjax.records.reading import endings, read_channels
-from riecjax.records.recording import read_record, read_recording
 
 N = 60
 TIME = np.arange(N) * 0.125

@@ -11,10 +11,10 @@ import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from riecjax.doubts.reading import read_record
 from riecjax.errors import DataError
 from riecjax.records import writing
 from riecjax.records.record import Record
-from riecjax.records.recording import read_record
 from riecjax.records.signal import Signal
 from riecjax.records.writing import check_writable, write_record
 

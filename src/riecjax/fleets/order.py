@@ -16,8 +16,9 @@ import numpy as np
 
 from riecjax import DOLS, Model, Recording, Summary, read_recordings, summarise
 from riecjax.criteria import AbstractCriterion, criterion_for
+from riecjax.doubts import recording_findings
 from riecjax.errors import DataError, ModelError, reason_of
-from riecjax.estimation import plan_parameters, recording_findings
+from riecjax.estimation import plan_parameters
 from riecjax.fleets.settings import Fleets
 from riecjax.fleets.sources import Piece, Source, at_hand, recordings_of, stretches
 from riecjax.summaries import Outline, default_criterion, stretch_starts

@@ -9,10 +9,10 @@ from benchmarks.recovery.faults import recorded
 from benchmarks.recovery.machines import MACHINES
 from tests.machines import JOINT_SENSORS, Shape, joint, joint_record, noisy, waves
 
+from riecjax.doubts.reading import read_recording
 from riecjax.findings import Finding
 from riecjax.records.faults.signals import FAULTS, check_signals
 from riecjax.records.record import Record
-from riecjax.records.recording import read_recording
 from riecjax.settings import Reading
 
 STEP, COUNT = 0.005, 4000

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from tests.machines import drag_signals as signals
 
+from riecjax.doubts.reading import read_recording
 from riecjax.errors import DataError
 from riecjax.estimation.identify import identify
 from riecjax.models.oscillators import drag_oscillator_equation
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.faults.spikes import find_spikes, repair_outliers
 from riecjax.records.record import Record
-from riecjax.records.recording import read_recording
 
 CLEAN = signals()
 NAMES = ("x", "dx")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from riecjax.doubts.reading import read_recording
 from riecjax.records.faults.spikes import unwrapped
-from riecjax.records.recording import read_recording
 
 TIME = np.arange(4000) / 200
 

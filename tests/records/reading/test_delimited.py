@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from riecjax.doubts.reading import read_record
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import read_channels
 from riecjax.records.reading.delimited import LONGEST_LINE
-from riecjax.records.recording import read_record
 
 LONG = 900
 """Rows of a file much longer than what its dialect is decided on."""

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from riecjax.doubts.reading import read_record
 from riecjax.errors import DataError, ModelError
 from riecjax.records.derived import derived
-from riecjax.records.recording import read_record
 
 COLUMNS = {
     "q": np.array([0.5, -1.0, 2.0, 0.25]),

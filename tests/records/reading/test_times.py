@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from riecjax.doubts.reading import read_recording
 from riecjax.errors import DataError
 from riecjax.models.catalogue import find_model
 from riecjax.records.reading.times import find_time
-from riecjax.records.recording import read_recording
 from riecjax.records.time_base import time_base
 
 N, STEP = 400, 0.005
