@@ -1,11 +1,19 @@
-"""JAX's global settings, which no import makes: the command line does, or whoever asks for it."""
+"""What a process runs in: the memory that is free, and JAX's global settings.
 
+No import makes these settings: the command line does, or whoever asks for it. Memory that a
+computation takes is counted before it starts, and refused where it is not free.
+"""
+
+import contextlib
 import gc
 import os
 import platform
 import zlib
 from pathlib import Path
 
+REMEDY = "Use a part of the record (--from, --to), every n-th sample (--every), or fewer windows."
+CONTROL_GROUP = Path("/sys/fs/cgroup")
+MEMORY = Path("/proc/meminfo")
 SMALL_LOOP_BYTES = 10**6
 """Loops that touch less memory than this in a turn are compiled whole; XLA's own limit is 1024."""
 CACHE_BYTES = 2**28
@@ -95,3 +103,43 @@ def processor() -> str:
         told = {line for line in lines if line.startswith(("flags", "Features"))}
         abilities = "".join(sorted(told))
     return f"{platform.machine()}-{zlib.crc32(abilities.encode()):08x}"
+
+
+def in_gigabytes(size: float) -> str:
+    """Bytes in two digits."""
+    return f"{float(f'{size / 1e9:.2g}'):g} GB"
+
+
+def require_memory(what: str, size: float, remedy: str = "") -> None:
+    """Refuse what is about to be done, as in "reading drive.csv", where memory does not hold it.
+
+    **Arguments:** `size`, bytes at its peak, beside what the process holds already.
+
+    **Raises:** `MemoryError` with both numbers and the remedy.
+    """
+    free = free_memory()
+    if size > free:
+        raise MemoryError(
+            f"{what} takes about {in_gigabytes(size)} of memory, and "
+            f"{in_gigabytes(free)} are free. {remedy}".strip()
+        )
+
+
+def free_memory() -> float:
+    """Bytes that this process may still ask for; infinite where the system does not tell."""
+    free = [float("inf")]
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        lines = MEMORY.read_text(encoding="utf-8").splitlines()
+        kilobytes = [line.split()[1] for line in lines if line.startswith("MemAvailable:")]
+        free.append(1024.0 * int(kilobytes[0]))
+    # What a container's limit leaves, which the machine's free memory does not know of.
+    with contextlib.suppress(OSError, ValueError):
+        limit, used = (
+            int((CONTROL_GROUP / f"memory.{name}").read_text(encoding="utf-8"))
+            for name in ("max", "current")
+        )
+        # Of what is used, cached files give way.
+        statistics = (CONTROL_GROUP / "memory.stat").read_text(encoding="utf-8").splitlines()
+        cached = [int(line.split()[1]) for line in statistics if line.startswith("inactive_file ")]
+        free.append(float(limit - used + sum(cached)))
+    return min(free)

@@ -10,7 +10,7 @@ from test_job_files import context
 from riecjax import settings
 from riecjax.cli.main import run
 from riecjax.criteria.suited import criterion_for
-from riecjax.summaries.task import ready
+from riecjax.summaries.summarise import ready
 
 PLAIN = ("--refine", "none")
 

@@ -5,8 +5,8 @@ import os
 import pytest
 from command_line import call, quarter_car_columns, write_csv
 
-from riecjax import memory
-from riecjax.memory import free_memory, require_memory
+from riecjax import runtime as memory
+from riecjax.runtime import free_memory, require_memory
 
 CAR = ("--model", "quarter-car", "--no-sweep", "--refine", "none")
 

@@ -12,7 +12,7 @@ from riecjax.equations.model import as_model, staged
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
-from riecjax.summaries.task import ready
+from riecjax.summaries.summarise import ready
 from riecjax.uncertainty.intervals import Sandwich
 
 STEP, SAMPLES = 0.005, 6000

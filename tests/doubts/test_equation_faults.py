@@ -21,7 +21,7 @@ from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import find_model
 from riecjax.records.derived import derived
 from riecjax.records.record import Record
-from riecjax.summaries.task import ready
+from riecjax.summaries.summarise import ready
 from riecjax.uncertainty.intervals import Sandwich
 from riecjax.validation.equation_errors import errors_over_records
 from riecjax.validation.residuals import ResidualTests

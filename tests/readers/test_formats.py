@@ -366,7 +366,7 @@ def test_nulls_and_kinds_of_parquet(tmp_path):
 
 def test_what_parquet_takes_is_counted_before_it_is_read(tmp_path, monkeypatch):
     parquet.write_table(pa.table({"x": np.zeros(10**6)}), tmp_path / "a.parquet")
-    monkeypatch.setattr("riecjax.memory.free_memory", lambda: 4e7)
+    monkeypatch.setattr("riecjax.runtime.free_memory", lambda: 4e7)
     with pytest.raises(MemoryError, match=r"takes about 0\.064 GB of memory, and 0\.04 GB"):
         inspect.unwrap(read_parquet)(tmp_path / "a.parquet")
 

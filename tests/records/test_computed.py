@@ -10,7 +10,7 @@ from tests.machines import waves
 import riecjax as rx
 from riecjax.records.preparation.filtering import filter_between
 from riecjax.records.signal import noise_level
-from riecjax.summaries.task import ready
+from riecjax.summaries.summarise import ready
 
 STEP = 0.01
 # A Butterworth low-pass of second order at 0.3 of half the rate.

@@ -10,8 +10,8 @@ import riecjax as rx
 from conftest import in_32_bit
 from nightly import nightly
 from riecjax.criteria.windows import StartBlocks
+from riecjax.summaries.summarise import ready
 from riecjax.summaries.summary import load
-from riecjax.summaries.task import ready
 
 STEP = 0.01
 STD = {"x": 0.01, "dx": 0.1, "u": 1.0}

@@ -10,7 +10,7 @@ import riecjax as rx
 from nightly import by_day, nightly
 from riecjax.summaries import one_pass
 from riecjax.summaries.one_pass import recording_sums
-from riecjax.summaries.task import ready, task
+from riecjax.summaries.summarise import ready, task
 
 STEP = 0.005
 EQUATION = rx.Equation(

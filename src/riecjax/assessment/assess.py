@@ -46,13 +46,12 @@ from riecjax.estimation.parameters import plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding
 from riecjax.leaves import size_of
-from riecjax.memory import REMEDY, require_memory
 from riecjax.records.recording import Recording, as_recordings, explaining_errors
+from riecjax.runtime import REMEDY, require_memory
 from riecjax.settings import Assess, taking
 from riecjax.settings import Check as CheckSettings
 from riecjax.shows import Drawn, show
-from riecjax.summaries.summarise import summarise
-from riecjax.summaries.task import ready
+from riecjax.summaries.summarise import ready, summarise
 from riecjax.uncertainty.intervals import AbstractIntervals, Naive, Sandwich, intervals_of
 from riecjax.validation.sweep import sweep_edges, sweep_of_sums
 from riecjax.validation.tests import own_tests, residuals_tested

@@ -12,8 +12,7 @@ import click
 
 from riecjax.errors import RiecjaxError, printable, require
 from riecjax.extensions import extension, extension_names
-from riecjax.memory import REMEDY
-from riecjax.runtime import collect_seldom
+from riecjax.runtime import REMEDY, collect_seldom
 from riecjax.standard_output import answer, is_for_answers, keep_for_answers, restored
 
 # Imported when called: `riecjax models` and `--help` need not wait for JAX.

@@ -7,8 +7,7 @@ import click
 
 from riecjax import settings
 from riecjax.cli import Given, Progress, settings_command
-from riecjax.memory import require_memory
-from riecjax.runtime import start_jax
+from riecjax.runtime import require_memory, start_jax
 from riecjax.settings import CODE, NEW_FILE, POSITIVE, TEXT, Settings, setting
 from riecjax.standard_output import answer
 

@@ -35,7 +35,7 @@ from riecjax.records.recording import Recording, as_recordings
 from riecjax.settings import Discover as DiscoverSettings
 from riecjax.settings import taking
 from riecjax.shows import Shown
-from riecjax.summaries.task import ready
+from riecjax.summaries.summarise import ready
 from riecjax.uncertainty.intervals import intervals_of
 
 if TYPE_CHECKING:

@@ -3,4 +3,4 @@ from .check import recording_findings as recording_findings
 from .columns import Doubt as Doubt
 from .equation_faults import Cause as Cause
 from .equation_faults import demanded as demanded
-from .kinematics import align as align
+from .reading import align as align

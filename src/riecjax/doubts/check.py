@@ -32,9 +32,8 @@ from riecjax.settings import Check as CheckSettings
 from riecjax.settings import taking
 from riecjax.shows import Shown
 from riecjax.summaries.normal_equations import Survey
-from riecjax.summaries.summarise import summed
+from riecjax.summaries.summarise import ready, signals_read, summed, task
 from riecjax.summaries.summary import Summary
-from riecjax.summaries.task import ready, signals_read, task
 
 if TYPE_CHECKING:
     from riecjax.estimation.evidence import ModeEvidence

@@ -32,7 +32,7 @@ from riecjax.equations.motions import per
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, line_taken_off, option_for
 from riecjax.records.record import Record
-from riecjax.summaries.task import signals_read
+from riecjax.summaries.summarise import signals_read
 
 HALF = 0.5
 """Share of what is left that a delay's column leaves at most, for the delay to be undone."""
@@ -92,16 +92,20 @@ class Weighing:
         records: Sequence[Record],
         doubts: Sequence[Doubt],
         ringing: bool = False,
+        is_moot: Callable[[Causes], bool] = lambda rough: False,
     ) -> "Weighing":
         """Noise is taken off those doubts alone that may be a cause, and states of hysteresis,
-        whose shapes are rough, are tried where much is left."""
+        whose shapes are rough, are tried where much is left.
+
+        **Arguments:** `is_moot` says of a first weighing whether there is nothing to explain.
+        """
         sizes = plausible(doubts, records)
         plain = [doubt for doubt in doubts if doubt.kind != STATES]
         rough = Causes(folds_of(asked, records, plain, "plain"), plain, sizes)
         if len(plain) < len(doubts) and rough.before > NOTABLE**2 * rough.folds.energy:
             rough = Causes(folds_of(asked, records, doubts, "plain"), doubts, sizes)
         asked = asked._replace(base=rough.base)
-        if not rough.is_promising:
+        if not rough.is_promising or is_moot(rough):
             rough.offered = []
             return cls(asked, records, rough, ringing=ringing)
         fixed = asked.resting_on_earlier
@@ -218,7 +222,7 @@ class Weighing:
             undone,
             offset=after[zeros[0].name] if zeros else 0.0,
             certain=causes.is_certain(chosen, doubt, instead),
-            same=tuple(causes.same_as(doubt, instead)),
+            same=tuple(one for one in causes.every if one in causes.same_as(doubt, instead)),
             instead=tuple(instead),
         )
 

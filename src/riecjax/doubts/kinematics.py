@@ -14,7 +14,6 @@ A pair shows differences alone: whether v is late or x early, whether v has an o
 it cannot tell, nor what both have in common, as a delay of both against the force.
 """
 
-import itertools
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
@@ -25,8 +24,8 @@ from riecjax import tails
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import AllWindows
+from riecjax.doubts.causes import CLEARER, LEVEL, UNEXPLAINED, Causes
 from riecjax.doubts.causes import FEWEST as FEWEST_FOLDS
-from riecjax.doubts.causes import LEVEL, UNEXPLAINED
 from riecjax.doubts.columns import (
     MOST_SAMPLES,
     Asked,
@@ -34,6 +33,7 @@ from riecjax.doubts.columns import (
     courses_of,
     delay_of,
     drift_of,
+    folds_of,
     zero_of,
 )
 from riecjax.doubts.delays import SMALLEST, Settled
@@ -43,15 +43,12 @@ from riecjax.equations.model import Model, as_model
 from riecjax.equations.term import Term
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.folds import Told
+from riecjax.folds import Folds, Told
 from riecjax.records.faults.rows import cut_rows
-from riecjax.records.faults.signals import holding
 from riecjax.records.noise_judgement import judged
-from riecjax.records.preparation.resampling import shift
 from riecjax.records.preparation.steps import undone
 from riecjax.records.reading.units import readings
 from riecjax.records.record import Record, run_lengths
-from riecjax.records.recording import Aligned
 from riecjax.records.relations import Pairs, Relation, relations, summed, with_sum
 from riecjax.records.signal import Samples, Signal
 
@@ -133,7 +130,7 @@ def compare(record: Record, relation: Relation) -> Compared | None:
     is_undone = True
     while is_undone and len(found) < MOST:
         causes = _causes(weighing, relation)
-        told = [_told(cause, relation, weighing) for cause in causes]
+        told = [_told(cause, relation, weighing) for cause in causes or _of_few(weighing)]
         if not told or any((one.code, one.signals) in found for one in told):
             break
         found |= {(one.code, one.signals): one for one in told}
@@ -152,11 +149,34 @@ def compare(record: Record, relation: Relation) -> Compared | None:
                 is_undone = False
     folds, names = weighing.causes.folds, weighing.causes.base
     explained = 1 - folds.unexplained(names) / float(folds.motion[:, 0, 0].sum())
-    sizes = {}
+    sizes = _sizes(folds, relation) if is_undone else None
+    if sizes and any(abs(size.value - 1) > GAIN for size in sizes.values()):
+        # Of what is as fast as samples the size depends on its course between them.
+        others = _sizes(_by_trapezoids(weighing.asked, weighing.records[0]), relation)
+        sizes = {n: min(one, others[n], key=_beyond_one) for n, one in sizes.items()}
+        if any((others[n].value - 1) * (one.value - 1) < 0 for n, one in sizes.items()):
+            sizes = None
+    return Compared(relation, tuple(found.values()), late, sizes, explained)
+
+
+def _beyond_one(size: Told) -> float:
+    return abs(size.value - 1)
+
+
+def _sizes(folds: Folds, relation: Relation) -> dict[str, Told]:
+    """Of the terms of a relation, 1 where they are right."""
+    names, sizes = folds.parameters[: len(relation.of)], {}
     for name, factor in relation.of:
         one = folds.told(names, f"0.{name}")
         sizes[name] = Told(one.value / factor, abs(one.error / factor), one.freedom)
-    return Compared(relation, tuple(found.values()), late, sizes if is_undone else None, explained)
+    return sizes
+
+
+def _by_trapezoids(asked: Asked, record: Record) -> Folds:
+    """The same sums with what is between samples on straight lines."""
+    windows = asked.criterion.all_windows
+    assert windows is not None
+    return folds_of(asked._replace(criterion=RIEC(windows, Hat(2))), [record], [], "plain")
 
 
 def _prepared(record: Record, relation: Relation) -> Record | None:
@@ -189,8 +209,14 @@ def _weighed(relation: Relation, record: Record, by: Sequence[str] = ()) -> Weig
         doubts += [delay_of((name,)), *courses_of((name,))]
         doubts += [zero_of(name), drift_of(name)] if name in terms else []
     values = dict(relation.of)
-    asked = Asked(_model(relation), RIEC(windows, Hat()), values, {}, [f"0.{n}" for n in values])
-    return Weighing.of(asked, [record], doubts)
+    asked = Asked(_model(relation), RIEC(windows, Hat(6)), values, {}, [f"0.{n}" for n in values])
+
+    def is_moot(rough: Causes) -> bool:
+        other = _by_trapezoids(asked, record)
+        left = float(other.left(rough.base).motion.sum())
+        return rough.before < CLEARER * abs(rough.before - left)
+
+    return Weighing.of(asked, [record], doubts, is_moot=is_moot)
 
 
 def _model(relation: Relation) -> Model:
@@ -217,7 +243,7 @@ def _causes(weighing: Weighing, relation: Relation) -> list[Cause]:
         samples = weighing.records[0].arrays[cause.doubt.signals[0]]
         return abs(cause.size) > OFFSET * float(np.std(samples))
 
-    causes = [cause for cause in weighing.found() or _of_few(weighing) if matters(cause)]
+    causes = [cause for cause in weighing.found() if matters(cause)]
     # A signal alone that comes early has the one late, or filtered, that it is the derivative of.
     if relation.terms == relation.names[1:2] and any(
         cause.undone is not None and cause.doubt.kind == "delay" and cause.size < 0
@@ -274,8 +300,6 @@ def _told(cause: Cause, relation: Relation, weighing: Weighing) -> Finding:
     code = finding.code
     others = () if cause.undone is not None else [n for n in relation.names if n != name]
     message = finding.message
-    if code == "late_signal":
-        message = f"{message} --align auto does so when the file is read."
     if code in ("velocity_offset", "drifting_signal"):
         message = f"{message} Or {relation.signal} drifts."
     return finding._replace(
@@ -302,13 +326,14 @@ def check_kinematics(record: Record, pairs: Pairs) -> list[Finding]:
         if any(record.noise.is_made_of(name, relation.signal) for name in relation.terms):
             continue
         compared = compare(record, relation)
-        for finding in () if compared is None else _findings(record, compared):
+        for finding in () if compared is None else findings_of(record, compared):
             key = finding.code, finding.signals
             findings[key] = findings.pop(key, finding)
     return list(findings.values())
 
 
-def _findings(record: Record, compared: Compared) -> Iterator[Finding]:
+def findings_of(record: Record, compared: Compared) -> Iterator[Finding]:
+    """What is amiss between the signals of a relation that were compared."""
     relation, found = compared.relation, compared.found
     is_cut = any(one.code == "lost_rows" for one in found)
     if not is_cut and (cut := cut_rows(*with_sum(record, relation))):
@@ -424,90 +449,6 @@ def is_derivative(record: Record, signal: str, others: Sequence[str]) -> bool:
         and all(abs(size.value - 1) < GROSS for size in one.sizes.values())
         for one in every
     )
-
-
-def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Aligned:
-    """Bring the later one of each signal and its recorded derivative forward.
-
-    Of two signals one sees which is later, not which is wrong; but sensors, filters and loggers
-    delay, and nothing comes before its time. So the earliest of signals that are derivatives of
-    each other is taken to be in time, and the others are advanced to it. A signal that holds its
-    value for a while is not looked at.
-
-    **Arguments:** `pairs` of a signal and its derivative, or relations; `how`: `"auto"`;
-    `"none"`; or the signals to shift, by whatever delay is found.
-
-    **Raises:** `DataError` for a signal that belongs to no pair in the record.
-    """
-    names = () if isinstance(how, str) else tuple(how)
-    if isinstance(how, str) and how not in ("auto", "none"):
-        raise DataError(f"align is 'auto', 'none' or a tuple of signals; got '{how}'.")
-    every = [one for one in relations(pairs) if {*one.names} <= {*record.arrays}]
-    for name in names:
-        if not any(name in one.names for one in every):
-            raise DataError(
-                f"'{name}' cannot be aligned: the model knows no recorded derivative of it, nor "
-                f"what it is the derivative of. Shift it by a known time (--shift {name}=SECONDS)."
-            )
-    if how == "none":
-        return Aligned(record)
-    compared = [one for relation in every if (one := compare(record, relation)) is not None]
-    holds = tuple(one.relation for one in compared if not any(_findings(record, one)))
-    found = [one for each in compared if (one := _in_step(record, each)) is not None]
-    # What a sensor holds for a while is no delay, and is found no more once it is shifted.
-    if not names and any(one.late for one in found):
-        held = holding(record, {name for one in found for name in one.late})
-        found = [one for one in found if not held & {*one.relation.names}]
-    late: dict[str, float] = {}
-    # By which each of these signals is later than the first one it is paired with.
-    for name, one in itertools.product(names, found):
-        if name in one.relation.names:
-            others = (-each.size for each in one.late.values())
-            late.setdefault(name, one.late[name].size if name in one.late else sum(others))
-    if not names:
-        # By which signals are later than the earliest of those that they belong to.
-        groups: list[dict[str, float]] = []
-        for one in found:
-            times = {n: one.late[n].size if n in one.late else 0.0 for n in one.relation.names}
-            group = next((g for g in groups if {*times} & {*g}), None)
-            if group is None:
-                groups.append(group := {})
-            # By a signal that both know.
-            ahead = next((group[name] - s for name, s in times.items() if name in group), 0.0)
-            for name, seconds in times.items():
-                group.setdefault(name, ahead + seconds)
-        after = ((name, s - min(g.values())) for g in groups for name, s in g.items())
-        late = {name: s for name, s in after if s > SMALLEST * float(record.time_step)}
-    if not late:
-        return Aligned(record, holding=holds)
-    told = []
-    for name, seconds in late.items():
-        mine = [one for one in found if name in one.relation.names]
-        one = next((one for one in mine if one.late), mine[0])
-        mine, reach = {*one.late}, 1e3 * max((e.reach for e in one.late.values()), default=0.0)
-        others = {*one.relation.names} - mine if name in mine else mine
-        message = (
-            f"{name} came {seconds / float(record.time_step):.3g} samples ({1e3 * seconds:.3g} ms, "
-            f"+-{reach:.2g} ms) late against {' and '.join(sorted(others))}, and was brought "
-            f"forward by that; --align none leaves it. Whether both are late against other signals "
-            f"the two cannot tell."
-        )
-        told.append(Finding("late_signal", message, (name,)))
-    words = tuple(f"{name}: advanced by {seconds:.4g} s" for name, seconds in late.items())
-    return Aligned(shift(record, late), words, tuple(told))
-
-
-def _in_step(record: Record, one: Compared) -> Compared | None:
-    """Signals that belong to each other, of which no lost rows, clocks or filters look like a
-    delay."""
-    if one.explained < UNRELATED:
-        return None
-    if any(abs(size.value - 1) > GROSS for size in (one.sizes or {}).values()):
-        return None
-    late = {n: each for n, each in one.late.items() if not each.low_passed}
-    if late and cut_rows(*with_sum(record, one.relation)):
-        return None
-    return one._replace(late=late)
 
 
 def _filled(values: np.ndarray) -> np.ndarray:

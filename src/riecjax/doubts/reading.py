@@ -1,11 +1,104 @@
 """Files as recordings, whose signals a model's kinematics brings to one time."""
 
+import itertools
 import os
+from collections.abc import Sequence
 
-from riecjax.doubts.kinematics import align
+from riecjax.doubts.delays import SMALLEST
+from riecjax.doubts.kinematics import GROSS, UNRELATED, Compared, compare, findings_of
+from riecjax.errors import DataError
+from riecjax.findings import Finding
+from riecjax.records.faults.rows import cut_rows
+from riecjax.records.faults.signals import holding
+from riecjax.records.preparation.resampling import shift
 from riecjax.records.record import Record
-from riecjax.records.recording import Recording, every_recording, only_recording
+from riecjax.records.recording import Aligned, Recording, every_recording, only_recording
+from riecjax.records.relations import Pairs, relations, with_sum
 from riecjax.settings import Reading, taking
+
+
+def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Aligned:
+    """Bring the later one of each signal and its recorded derivative forward.
+
+    Of two signals one sees which is later, not which is wrong; but sensors, filters and loggers
+    delay, and nothing comes before its time. So the earliest of signals that are derivatives of
+    each other is taken to be in time, and the others are advanced to it. A signal that holds its
+    value for a while is not looked at.
+
+    **Arguments:** `pairs` of a signal and its derivative, or relations; `how`: `"auto"`;
+    `"none"`; or the signals to shift, by whatever delay is found.
+
+    **Raises:** `DataError` for a signal that belongs to no pair in the record.
+    """
+    names = () if isinstance(how, str) else tuple(how)
+    if isinstance(how, str) and how not in ("auto", "none"):
+        raise DataError(f"align is 'auto', 'none' or a tuple of signals; got '{how}'.")
+    every = [one for one in relations(pairs) if {*one.names} <= {*record.arrays}]
+    for name in names:
+        if not any(name in one.names for one in every):
+            raise DataError(
+                f"'{name}' cannot be aligned: the model knows no recorded derivative of it, nor "
+                f"what it is the derivative of. Shift it by a known time (--shift {name}=SECONDS)."
+            )
+    if how == "none":
+        return Aligned(record)
+    compared = [one for relation in every if (one := compare(record, relation)) is not None]
+    holds = tuple(one.relation for one in compared if not any(findings_of(record, one)))
+    found = [one for each in compared if (one := _in_step(record, each)) is not None]
+    # What a sensor holds for a while is no delay, and is found no more once it is shifted.
+    if not names and any(one.late for one in found):
+        held = holding(record, {name for one in found for name in one.late})
+        found = [one for one in found if not held & {*one.relation.names}]
+    late: dict[str, float] = {}
+    # By which each of these signals is later than the first one it is paired with.
+    for name, one in itertools.product(names, found):
+        if name in one.relation.names:
+            others = (-each.size for each in one.late.values())
+            late.setdefault(name, one.late[name].size if name in one.late else sum(others))
+    if not names:
+        # By which signals are later than the earliest of those that they belong to.
+        groups: list[dict[str, float]] = []
+        for one in found:
+            times = {n: one.late[n].size if n in one.late else 0.0 for n in one.relation.names}
+            group = next((g for g in groups if {*times} & {*g}), None)
+            if group is None:
+                groups.append(group := {})
+            # By a signal that both know.
+            ahead = next((group[name] - s for name, s in times.items() if name in group), 0.0)
+            for name, seconds in times.items():
+                group.setdefault(name, ahead + seconds)
+        after = ((name, s - min(g.values())) for g in groups for name, s in g.items())
+        late = {name: s for name, s in after if s > SMALLEST * float(record.time_step)}
+    if not late:
+        return Aligned(record, holding=holds)
+    told = []
+    for name, seconds in late.items():
+        mine = [one for one in found if name in one.relation.names]
+        one = next((one for one in mine if one.late), mine[0])
+        mine, reach = {*one.late}, 1e3 * max((e.reach for e in one.late.values()), default=0.0)
+        others = {*one.relation.names} - mine if name in mine else mine
+        message = (
+            f"{name} came {seconds / float(record.time_step):.3g} samples ({1e3 * seconds:.3g} ms, "
+            f"+-{reach:.2g} ms) late against {' and '.join(sorted(others))}, and was brought "
+            f"forward by that; --align none leaves it. Whether both are late against other signals "
+            f"the two cannot tell."
+        )
+        told.append(Finding("late_signal", message, (name,)))
+    words = tuple(f"{name}: advanced by {seconds:.4g} s" for name, seconds in late.items())
+    return Aligned(shift(record, late), words, tuple(told))
+
+
+def _in_step(record: Record, one: Compared) -> Compared | None:
+    """Signals that belong to each other, of which no lost rows, clocks or filters look like a
+    delay."""
+    if one.explained < UNRELATED:
+        return None
+    if any(abs(size.value - 1) > GROSS for size in (one.sizes or {}).values()):
+        return None
+    late = {n: each for n, each in one.late.items() if not each.low_passed}
+    if late and cut_rows(*with_sum(record, one.relation)):
+        return None
+    return one._replace(late=late)
 
 
 @taking(Reading)

@@ -33,9 +33,8 @@ from riecjax.records.record import Records
 from riecjax.records.recording import explaining_errors, findings_of
 from riecjax.settings import Identify, taking
 from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.summaries.summarise import summed
+from riecjax.summaries.summarise import ready, signals_read, summed, task
 from riecjax.summaries.summary import Summary, as_summary
-from riecjax.summaries.task import ready, signals_read, task
 from riecjax.uncertainty.covariances import naive_covariance
 from riecjax.uncertainty.intervals import (
     AbstractIntervals,

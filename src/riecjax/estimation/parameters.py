@@ -22,7 +22,7 @@ from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError, refuse_unknown, require
 from riecjax.leaves import Leaf, PlainMethods, is_number
-from riecjax.summaries.task import require_key
+from riecjax.summaries.summarise import require_key
 
 Value = TypeVar("Value")
 _NO_MASS = "no mass is"

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from riecjax.errors import DataError
-from riecjax.memory import require_memory
 from riecjax.records import reading
+from riecjax.runtime import require_memory
 
 MEMORY_PER_BYTE = 20.0
 """What reading takes for each byte of a file."""

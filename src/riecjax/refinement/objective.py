@@ -40,7 +40,7 @@ from riecjax.estimation.parameters import ParameterTable, name_in_recording, req
 from riecjax.linear_algebra import solve_scaled
 from riecjax.records.record import Record
 from riecjax.simulation.system import AbstractSystem
-from riecjax.summaries.task import record_keys
+from riecjax.summaries.summarise import record_keys
 
 if TYPE_CHECKING:
     from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks

@@ -31,9 +31,8 @@ from riecjax.summaries.normal_equations import (
     ShortBlocks,
     blocks_in_use,
 )
-from riecjax.summaries.summarise import summed
+from riecjax.summaries.summarise import ready, summed, task
 from riecjax.summaries.summary import Summary
-from riecjax.summaries.task import ready, task
 from riecjax.uncertainty.covariances import block_influence
 
 # How estimates at two lengths are compared. Near the solution an estimate is a sum over blocks of

@@ -5,7 +5,8 @@ import pytest
 from tests.machines import drag_signals as signals
 
 import riecjax as rx
-from riecjax.doubts.kinematics import align, check_kinematics
+from riecjax.doubts.kinematics import check_kinematics
+from riecjax.doubts.reading import align
 from riecjax.records import check_signals
 from riecjax.records.faults.rows import (
     Repetition,

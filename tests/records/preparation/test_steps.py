@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.records.preparation.test_alignment import motion
+from tests.doubts.test_alignment import motion
 
 import riecjax as rx
 from riecjax.records.faults.signals import leave_out

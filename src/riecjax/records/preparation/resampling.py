@@ -22,7 +22,6 @@ import scipy
 from jaxtyping import Float
 
 from riecjax.errors import DataError
-from riecjax.memory import in_gigabytes, require_memory
 from riecjax.records.linear_op import (
     SAME_TIME,
     LinearOp,
@@ -44,6 +43,7 @@ from riecjax.records.signal import (
     usual_size,
 )
 from riecjax.records.time_base import PPM
+from riecjax.runtime import in_gigabytes, require_memory
 
 LARGEST_BLOCK = 2**22
 """Weights held at once."""

@@ -20,9 +20,9 @@ import numpy as np
 
 from riecjax.errors import DataError, RiecjaxError, printable, require
 from riecjax.extensions import extension, extension_names
-from riecjax.memory import require_memory
 from riecjax.records.reading.times import TIME_COLUMNS
 from riecjax.records.reading.units import split_unit
+from riecjax.runtime import require_memory
 from riecjax.whole_files import no_file
 
 LARGEST_FILE = 4 * 2**30

@@ -26,8 +26,8 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.extensions import require_packages
-from riecjax.memory import free_memory
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, foreign_reader, size_of
+from riecjax.runtime import free_memory
 from riecjax.whole_files import temporary
 
 PATIENCE = 60.0

@@ -9,11 +9,11 @@ import pyarrow as pa
 import pyarrow.types as types
 from pyarrow import parquet
 
-from riecjax.memory import require_memory
 from riecjax.records.reading.channels import Channels, check_declared
 from riecjax.records.reading.child_process import apart
 from riecjax.records.reading.literals import compute, floats, of_texts
 from riecjax.records.reading.times import TIME_COLUMNS, unwrapped
+from riecjax.runtime import require_memory
 
 BESIDE = 6
 """Columns of numbers that PyArrow holds beside those that are read, at most: with time stamps."""
