@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.integrate
+import scipy.signal
 
 import riecjax as rx
 from riecjax.doubts import align
@@ -215,11 +217,19 @@ def test_what_was_computed_from_the_signal_is_not_compared():
     assert check_kinematics(late(1.0, 0.01).with_noise(one), [("x", "v")]) == []
 
 
-def test_what_moves_between_samples_is_not_integrated():
-    rng = np.random.default_rng(0)
-    road, wheel = rng.standard_normal(COUNT), Motion(SUM).at("x3", TIME)
-    held = np.concatenate([[0.0], np.cumsum(STEP * (road - wheel))[:-1]])
-    record = rx.Record.from_samples({"x1": held, "v_r": road, "x3": wheel}, time_step=STEP)
+@mark.no_finding("wrong_gain", "late_signal")
+@pytest.mark.parametrize("is_held", [True, False])
+def test_what_moves_between_samples_is_not_integrated(is_held):
+    """A road that is held between samples, or goes on straight lines on which a wheel follows."""
+    rng, memory = np.random.default_rng(0), 0.0 if is_held else 0.85
+    road = scipy.signal.lfilter([1.0], [1.0, -memory], rng.standard_normal(COUNT))
+    fine = np.interp(np.arange(8 * COUNT - 7) / 8, np.arange(COUNT), road)
+    wheel = scipy.signal.lfilter([0.05], [1.0, -0.95], fine)
+    tyre = scipy.integrate.cumulative_simpson(fine - wheel, dx=STEP / 8, initial=0)[::8]
+    if is_held:
+        tyre = np.concatenate([[0.0], np.cumsum(STEP * (road - wheel[::8]))[:-1]])
+    signals = {"x1": tyre, "v_r": road, "x3": wheel[::8]}
+    record = rx.Record.from_samples(signals, time_step=STEP)
     assert check_kinematics(record, [Relation("x1", (("v_r", 1.0), ("x3", -1.0)))]) == []
 
 

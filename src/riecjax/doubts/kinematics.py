@@ -45,12 +45,13 @@ from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.folds import Folds, Told
 from riecjax.records.faults.rows import cut_rows
+from riecjax.records.faults.spikes import repair_outliers
 from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation.steps import undone
 from riecjax.records.reading.units import readings
-from riecjax.records.record import Record, run_lengths
+from riecjax.records.record import Record
 from riecjax.records.relations import Pairs, Relation, relations, summed, with_sum
-from riecjax.records.signal import Samples, Signal
+from riecjax.records.signal import Samples
 
 SHORTEST, FEWEST = 8, 24
 """Samples of the longest windows at the least, of which the shortest are an eighth; and how many of
@@ -87,12 +88,6 @@ LOGGED = (
 """Units of motion that loggers write beside those of SI."""
 CALIBRATED = 0.03
 """Share by which a gain may be off that of a unit."""
-SHORT_GAP = 5
-"""Samples of a gap that is filled in."""
-SPIKE = 5.0
-"""Times that a spike leaves the median of five samples further than its neighbours range."""
-MOST_SPIKES = 0.05
-"""Share of samples past which these are no spikes."""
 
 
 class Compared(NamedTuple):
@@ -180,21 +175,18 @@ def _by_trapezoids(asked: Asked, record: Record) -> Folds:
 
 
 def _prepared(record: Record, relation: Relation) -> Record | None:
-    """The signals alone, spikes and short gaps filled in; `None` where none is looked at."""
+    """The signals alone, their spikes repaired; `None` where none is looked at."""
     some = record.select(*relation.names)
-    some = some.part(0, min(some.sample_count, MOST_SAMPLES))
-    filled = {n: _filled(s.with_nan) for n, s in some.by_name.items()}
-    sizes = [float(np.nanstd(filled[name])) for name in relation.names]
+    if some.sample_count < 4 * SHORTEST:
+        return None
+    some = repair_outliers(some.part(0, min(some.sample_count, MOST_SAMPLES)))
+    samples = {name: signal.with_nan for name, signal in some.by_name.items()}
     # What is not finite squared, no sensor shows.
-    if not all(TINY < size < 1 / TINY for size in sizes) or some.sample_count < 4 * SHORTEST:
+    if not all(TINY < float(np.nanstd(one)) < 1 / TINY for one in samples.values()):
         return None
-    terms = [filled[name] for name in relation.terms]
-    rough = (np.nanmean(np.diff(v) ** 2) > ROUGH * np.nanvar(v) for v in terms)
-    if len(terms) > 1 and any(rough):
-        return None
-    return some.with_signals(
-        {n: Signal.of(filled[n], s.unit, s.noise) for n, s in some.by_name.items()}
-    )
+    rates = [samples[name] for name in relation.terms]
+    rough = (np.nanmean(np.diff(v) ** 2) > ROUGH * np.nanvar(v) for v in rates)
+    return None if len(rates) > 1 and any(rough) else some
 
 
 def _weighed(relation: Relation, record: Record, by: Sequence[str] = ()) -> Weighing:
@@ -449,34 +441,3 @@ def is_derivative(record: Record, signal: str, others: Sequence[str]) -> bool:
         and all(abs(size.value - 1) < GROSS for size in one.sizes.values())
         for one in every
     )
-
-
-def _filled(values: np.ndarray) -> np.ndarray:
-    """Spikes and short gaps replaced by local cubics."""
-    found, half = values.copy(), 4
-    if values.size > 2 * half + 1:
-        around = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1).T
-        off = np.abs(values[half:-half] - _median_of_five(*around[2:-2]))
-        near = np.delete(around, half + np.arange(-1, 2), axis=0)
-        spikes = np.flatnonzero(off > SPIKE * np.ptp(near, axis=0)) + half
-        if spikes.size <= MOST_SPIKES * values.size:
-            found[spikes] = np.nan
-    gaps = np.isnan(found)
-    known, short = np.flatnonzero(~gaps), np.flatnonzero(gaps & (run_lengths(gaps) <= SHORT_GAP))
-    behind = np.searchsorted(known, short)
-    # Two samples on each side, by Lagrange. Splines of SciPy's take a fifth of a second to import.
-    inside = (behind >= 2) & (behind <= known.size - 2)
-    near = known[behind[inside, None] + np.arange(-2, 2)]
-    to, apart = short[inside, None, None] - near[:, None], near[..., None] - near[:, None]
-    shares = np.divide(to, apart, out=np.ones(apart.shape), where=apart != 0)
-    found[short[inside]] = np.sum(np.prod(shares, axis=2) * found[near], axis=1)
-    return found
-
-
-def _median_of_five(a: Samples, b: Samples, c: Samples, d: Samples, e: Samples) -> Samples:
-    """Of each sample's; twenty times as fast as by sorting. NaN where one is."""
-    # Neither the least of two pairs nor the largest is the middle of five: of each two pairs the
-    # larger of the lower ones and the smaller of the upper ones are left, and the fifth.
-    low = np.maximum(np.minimum(a, b), np.minimum(c, d))
-    high = np.minimum(np.maximum(a, b), np.maximum(c, d))
-    return np.maximum(np.minimum(low, high), np.minimum(np.maximum(low, high), e))
