@@ -17,10 +17,10 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 50_175,
+    "src lines": 49_525,
     "src modules": 205,
-    "src statements": 24_115,
-    "src literals": 1_585,
+    "src statements": 23_740,
+    "src literals": 1_530,
     "lines of commands and settings": 2_300,
     "tests lines": 27_100,
     "benchmarks lines": 8_720,
@@ -38,6 +38,7 @@ MANY_IMPORTS = {
     "riecjax.discovery.candidate": 13,
     "riecjax.discovery.discover": 22,
     "riecjax.doubts.check": 21,
+    "riecjax.doubts.kinematics": 20,
     "riecjax.estimation.identify": 22,
     "riecjax.records.recording": 14,
     "riecjax.refinement.output_error": 14,
@@ -45,7 +46,7 @@ MANY_IMPORTS = {
     "riecjax.reporting.result_files": 13,
     "riecjax.reporting.views": 20,
     "riecjax.summaries.one_pass": 15,
-    "riecjax.summaries.summarise": 15,
+    "riecjax.summaries.summarise": 17,
     "riecjax.validation.equation_errors": 13,
     "riecjax.validation.sweep": 17,
 }

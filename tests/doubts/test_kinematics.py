@@ -6,7 +6,6 @@ Motions are sums of sines, exact at any time, so that what each fault does to th
 import itertools
 from collections.abc import Callable, Mapping
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
@@ -16,10 +15,7 @@ import riecjax as rx
 from riecjax.doubts import align
 from riecjax.doubts.kinematics import Compared, check_kinematics, compare
 from riecjax.equations.expressions import relation_of
-from riecjax.records.derived import derived
-from riecjax.records.preparation.filtering import unfilter
-from riecjax.records.preparation.resampling import set_clocks, shift
-from riecjax.records.preparation.steps import cut
+from riecjax.records.preparation.steps import undone
 from riecjax.records.relations import Relation, declared_pairs
 
 STEP, COUNT = 0.005, 6000
@@ -108,25 +104,6 @@ CASES = [
 ]
 
 
-def undone(record: rx.Record, remedy: tuple[str, ...]) -> rx.Record:
-    """What the proposed options make of a record."""
-    for option, value in zip(remedy[::2], remedy[1::2]):
-        name, _, setting = value.partition("=")
-        if option in ("--shift", "--unfilter", "--clock"):
-            step = {"--shift": shift, "--unfilter": unfilter, "--clock": set_clocks}[option]
-            record = step(record, {name: float(setting)})
-        elif option == "--scale":
-            record = record.with_signals({name: float(setting) * record[name]})
-        elif option == "--derive":
-            columns = {n: np.asarray(v) for n, v in record.arrays.items()}
-            values = derived(setting, {**columns, "t": np.asarray(record.time)})
-            record = record.with_signals({name: jnp.asarray(values)})
-        else:
-            start, stop = (None, float(value)) if option == "--to" else (float(value), None)
-            record = cut(start, stop, record)
-    return record
-
-
 @pytest.mark.parametrize(
     ("relation", "name", "fault"),
     [pytest.param(*case, marks=FAULTS[case[2]][0], id="-".join(case[1:])) for case in CASES],
@@ -141,7 +118,7 @@ def test_a_fault_is_named_and_undone_by_what_is_proposed(relation, name, fault):
     if code in ("late_signal", "low_passed") or (relation is SUM and "gain" in code):
         assert finding.signals == (name,)
     assert 0 < finding.doubt <= 1
-    assert [f.code for f in check_kinematics(undone(record, finding.remedy), [relation])] == []
+    assert [f.code for f in check_kinematics(undone(record, [finding.remedy]), [relation])] == []
     if code == "late_signal":
         aligned = align(record, [relation])
         assert [found.signals for found in aligned.findings] == [(name,)]

@@ -26,7 +26,7 @@ from riecjax.doubts.causes import CLEARER, LEVEL, OF_NOISE
 from riecjax.doubts.columns import Asked, Doubt, folds_of, longest_delay
 from riecjax.errors import DataError
 from riecjax.findings import option_for
-from riecjax.folds import Folds, solved
+from riecjax.folds import Folds, Left, Told, chance, solved
 from riecjax.records.preparation.filtering import unfilter
 from riecjax.records.preparation.resampling import shift
 from riecjax.records.record import Record
@@ -48,8 +48,8 @@ class Settled(NamedTuple):
     **Fields:** `signals`; `size` in the unit of its column, seconds of a delay, or of the time
     constant of a first-order low-pass where it is `low_passed`; standard `error` and `reach`, half
     an interval at the level of an answer; `left` beyond noise and `noise`, as shares of the
-    target's energy, and `otherwise`, what the other of delay and low-pass leaves; `values` of
-    parameters by stage and name; seconds between samples, `step`.
+    target's energy, and of each fold `by_fold`; `values` of parameters by stage and name; seconds
+    between samples, `step`; whether delay and low-pass are told apart for `certain`.
     """
 
     signals: tuple[str, ...]
@@ -60,18 +60,24 @@ class Settled(NamedTuple):
     noise: float
     values: dict[str, float]
     step: float
+    by_fold: Float[np.ndarray, " folds"]
     low_passed: bool = False
-    otherwise: float = np.inf
+    certain: bool = True
 
     @property
     def samples(self) -> float:
         """A delay in samples."""
         return self.size / self.step
 
-    @property
-    def certain(self) -> bool:
-        """Whether delay and low-pass are told apart."""
-        return self.otherwise > max(CLEARER * self.left, OF_NOISE * self.noise)
+    def is_clear_of(self, other: "Settled", is_exact: bool) -> bool:
+        """Whether another doubt leaves clearly more, of an equation that `is_exact` but for noise
+        by all folds, of any other by so much that no error of the model makes it."""
+        if not is_exact:
+            return other.left > max(CLEARER * self.left, OF_NOISE * self.noise)
+        count = min(other.by_fold.size, self.by_fold.size)
+        more = other.by_fold[:count] - self.by_fold[:count]
+        error = float(np.std(more, ddof=1)) / np.sqrt(more.size)
+        return float(np.mean(more)) > 0 and bool(chance(more.mean(), error, more.size - 1) < LEVEL)
 
 
 def settled(
@@ -96,13 +102,8 @@ def settled(
         if not (np.isfinite(told.value) and np.isfinite(told.error)):
             return None
         if abs(told.value) <= max(SETTLED * told.error, 1e-9 * most) or turn == TURNS - 1:
-            motion, samples = (float(part.sum()) / folds.energy for part in folds.left(names))
-            reach = float(tails.student(LEVEL / 2, told.freedom)) * told.error
-            values = dict(zip(names, folds.fitted(names).tolist()))
-            noise = max(samples - motion, 0.0)
-            return Settled(
-                doubt.signals, size, told.error, reach, motion, noise, values, step, lagged
-            )
+            found = settled_at(doubt, size, told, folds, names, folds.left(names), step)
+            return found._replace(low_passed=lagged)
         asked = asked.with_values(
             dict(zip((*names, doubt.name), folds.fitted((*names, doubt.name))))
         )
@@ -110,6 +111,25 @@ def settled(
         if abs(size) > most or (lagged and size <= 0):
             return None
     return None
+
+
+def settled_at(
+    doubt: Doubt,
+    size: float,
+    told: Told,
+    folds: Folds,
+    names: Sequence[str],
+    left: Left,
+    step: float,
+) -> Settled:
+    """So much of a doubt, of which a column was `told` beside those of these names, which leave so
+    much of each fold."""
+    values = dict(zip(names, folds.fitted(names).tolist()))
+    reach = float(tails.student(LEVEL / 2, told.freedom)) * told.error
+    by_fold = left.motion / folds.energy
+    noise = max(float(left.samples.sum()) / folds.energy - float(by_fold.sum()), 0.0)
+    motion = float(by_fold.sum())
+    return Settled(doubt.signals, size, told.error, reach, motion, noise, values, step, by_fold)
 
 
 def _undone(
@@ -258,11 +278,13 @@ class Followed(NamedTuple):
 
 @dataclass
 class Shifts:
-    """Sums by fold of records, some signals of which are advanced by whole samples."""
+    """Sums by fold of records, some signals of which are advanced by whole samples; a course is
+    `certain` from this F-statistic on."""
 
     asked: Asked
     records: Sequence[Record]
     signals: tuple[str, ...]
+    certain: float = CERTAIN
     known: dict[int, Folds] = field(default_factory=dict)
 
     def __post_init__(self):
@@ -305,14 +327,14 @@ class Shifts:
         if not found:
             # Parts whose delays are far from the middle one are not told by three next to it.
             far = self._among(self.every)
-            found = far is not None and self._changes(far, 1.0)
+            found = far is None or self._changes(far, 1.0)
             middle = 0
         if not found:
             return None
         most = self.reach if large else FARTHEST
         first, last = max(middle - most, -self.reach), min(middle + most, self.reach)
         best = self._among(range(first, last + 1))
-        if best is None or best.statistic < CERTAIN:
+        if best is None or best.statistic < self.certain:
             return None
         return best if abs(best.course.change) > LEAST[best.course.kind] else None
 

@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.doubts.causes import CLEARER, FEWEST, LOST, NO_DELAYS, OF_NOISE, Causes
+from riecjax import tails
+from riecjax.doubts.causes import CLEARER, FEWEST, LEVEL, LOST, NO_DELAYS, OF_NOISE, Causes
 from riecjax.doubts.columns import (
     STATES,
     Asked,
@@ -24,7 +25,7 @@ from riecjax.doubts.columns import (
     plausible,
     sensors,
 )
-from riecjax.doubts.delays import SMALLEST, Course, Settled, Shifts, settled
+from riecjax.doubts.delays import CERTAIN, SMALLEST, Course, Settled, Shifts, settled
 from riecjax.doubts.modes import Ringing, best_mode
 from riecjax.equations import expressions
 from riecjax.equations.model import Model
@@ -77,13 +78,15 @@ class Cause(NamedTuple):
 @dataclass(eq=False)
 class Weighing:
     """What is `asked`, on records: doubts that may be a cause, as `causes`; signals whose delay may
-    be `changing` along a record; whether a mode may be the cause where no doubt is, `ringing`."""
+    be `changing` along a record; whether a mode may be the cause where no doubt is, `ringing`, or
+    the equation `is_exact` but for noise."""
 
     asked: Asked
     records: Sequence[Record]
     causes: Causes
     changing: Collection[tuple[str, ...]] = ()
     ringing: bool = False
+    is_exact: bool = False
 
     @classmethod
     def of(
@@ -92,6 +95,7 @@ class Weighing:
         records: Sequence[Record],
         doubts: Sequence[Doubt],
         ringing: bool = False,
+        is_exact: bool = False,
         is_moot: Callable[[Causes], bool] = lambda rough: False,
     ) -> "Weighing":
         """Noise is taken off those doubts alone that may be a cause, and states of hysteresis,
@@ -105,7 +109,11 @@ class Weighing:
         if len(plain) < len(doubts) and rough.before > NOTABLE**2 * rough.folds.energy:
             rough = Causes(folds_of(asked, records, doubts, "plain"), doubts, sizes)
         asked = asked._replace(base=rough.base)
-        if not rough.is_promising or is_moot(rough):
+        # An equation that leaves out nothing is not explained by what is significant by chance.
+        is_promising = rough.is_promising
+        if is_exact:
+            is_promising = is_promising or any(map(rough.is_sure, rough.offered))
+        if not is_promising or is_moot(rough):
             rough.offered = []
             return cls(asked, records, rough, ringing=ringing)
         fixed = asked.resting_on_earlier
@@ -118,7 +126,7 @@ class Weighing:
             if rough.is_sure(one) or rough.is_sure(one, delays.get(one.signals, []))
         }
         causes = Causes(folds, near, sizes, rough.trials)
-        return cls(asked, records, causes, changing, ringing)
+        return cls(asked, records, causes, changing, ringing, is_exact)
 
     def found(self) -> list[Cause]:
         """What the data demand; nothing where nothing explains what is left."""
@@ -180,8 +188,9 @@ class Weighing:
         if found.size > 0:
             lagged = self._settled(doubt, found.size, lagged=True)
             if lagged is not None:
-                lagged = lagged._replace(otherwise=found.left)
-                found = lagged if lagged.certain else found._replace(otherwise=lagged.left)
+                if lagged.is_clear_of(found, self.is_exact):
+                    return lagged
+                found = found._replace(certain=found.is_clear_of(lagged, self.is_exact))
         return found
 
     def _curved(self, doubt: Doubt) -> Settled | None:
@@ -229,13 +238,17 @@ class Weighing:
     def _followed(self, delays: Mapping[Doubt, Settled]) -> Cause | None:
         """The delay of a single record that changes along it, if that explains what is left."""
         causes, energy = self.causes, self.causes.folds.energy
-        if len(self.records) > 1 or not causes.before > VISIBLE**2 * energy:
+        is_visible = self.is_exact or causes.before > VISIBLE**2 * energy
+        if len(self.records) > 1 or not is_visible:
             return None
         best, large = list[Cause](), causes.before > LOST * energy
         for doubt in causes.of("delay"):
             if not (large or doubt.signals in self.changing):
                 continue
-            shifts = Shifts(self.asked, self.records, doubt.signals)
+            certain = CERTAIN
+            if self.is_exact:
+                certain = float(tails.student(LEVEL / 2, causes.folds.number - 3)) ** 2
+            shifts = Shifts(self.asked, self.records, doubt.signals, certain)
             middle = delays[doubt].size if doubt in delays else 0.0
             followed = shifts.course(round(middle / float(self.records[0].time_step)), large)
             if followed is None or not causes.is_little(followed.left * energy):

@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax import tails
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import AllWindows
@@ -36,14 +35,14 @@ from riecjax.doubts.columns import (
     folds_of,
     zero_of,
 )
-from riecjax.doubts.delays import SMALLEST, Settled
+from riecjax.doubts.delays import SMALLEST, Settled, settled_at
 from riecjax.doubts.equation_faults import Cause, Equated, Weighing, finding_of
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
 from riecjax.equations.term import Term
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.folds import Folds, Told
+from riecjax.folds import Folds, Left, Told
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.faults.spikes import repair_outliers
 from riecjax.records.noise_judgement import judged
@@ -51,7 +50,6 @@ from riecjax.records.preparation.steps import undone
 from riecjax.records.reading.units import readings
 from riecjax.records.record import Record
 from riecjax.records.relations import Pairs, Relation, relations, summed, with_sum
-from riecjax.records.signal import Samples
 
 SHORTEST, FEWEST = 8, 24
 """Samples of the longest windows at the least, of which the shortest are an eighth; and how many of
@@ -145,17 +143,12 @@ def compare(record: Record, relation: Relation) -> Compared | None:
     folds, names = weighing.causes.folds, weighing.causes.base
     explained = 1 - folds.unexplained(names) / float(folds.motion[:, 0, 0].sum())
     sizes = _sizes(folds, relation) if is_undone else None
-    if sizes and any(abs(size.value - 1) > GAIN for size in sizes.values()):
+    off = {n: one.value - 1 for n, one in (sizes or {}).items() if abs(one.value - 1) > GAIN}
+    if off:
         # Of what is as fast as samples the size depends on its course between them.
         others = _sizes(_by_trapezoids(weighing.asked, weighing.records[0]), relation)
-        sizes = {n: min(one, others[n], key=_beyond_one) for n, one in sizes.items()}
-        if any((others[n].value - 1) * (one.value - 1) < 0 for n, one in sizes.items()):
-            sizes = None
+        sizes = sizes if all((others[n].value - 1) * by > 0 for n, by in off.items()) else None
     return Compared(relation, tuple(found.values()), late, sizes, explained)
-
-
-def _beyond_one(size: Told) -> float:
-    return abs(size.value - 1)
 
 
 def _sizes(folds: Folds, relation: Relation) -> dict[str, Told]:
@@ -199,7 +192,9 @@ def _weighed(relation: Relation, record: Record, by: Sequence[str] = ()) -> Weig
     doubts = list[Doubt]()
     for name in by or (relation.names if len(terms) > 1 else terms):
         doubts += [delay_of((name,)), *courses_of((name,))]
-        doubts += [zero_of(name), drift_of(name)] if name in terms else []
+    # Of a sum it is moot whose zero is off.
+    for name in reversed(terms if not by else ()):
+        doubts += [zero_of(name), drift_of(name)]
     values = dict(relation.of)
     asked = Asked(_model(relation), RIEC(windows, Hat(6)), values, {}, [f"0.{n}" for n in values])
 
@@ -208,7 +203,7 @@ def _weighed(relation: Relation, record: Record, by: Sequence[str] = ()) -> Weig
         left = float(other.left(rough.base).motion.sum())
         return rough.before < CLEARER * abs(rough.before - left)
 
-    return Weighing.of(asked, [record], doubts, is_moot=is_moot)
+    return Weighing.of(asked, [record], doubts, is_exact=True, is_moot=is_moot)
 
 
 def _model(relation: Relation) -> Model:
@@ -217,7 +212,7 @@ def _model(relation: Relation) -> Model:
     return as_model(Equation(*terms, -Term(1.0, relation.signal, derivative=1)))
 
 
-def _usual_period(values: Samples) -> int:
+def _usual_period(values: np.ndarray) -> int:
     """Samples in a period of the usual motion: increments over a sixth of a sine's have its
     variance."""
     lag, variance = 2, np.nanvar(values)
@@ -263,20 +258,10 @@ def _of_few(weighing: Weighing) -> list[Cause]:
         return []
     # As its column says: a step behind a mean is late by the mean's first moment, whatever delay
     # leaves least of the rest.
-    told, energy = folds.told(names, best.name), folds.energy
-    left, step = max(folds.unexplained(names), 0.0), float(weighing.records[0].time_step)
-    reach = float(tails.student(LEVEL / 2, told.freedom)) * told.error
-    values = dict(zip(names, folds.fitted(names).tolist()))
-    undone = Settled(
-        best.signals,
-        told.value,
-        told.error,
-        reach,
-        left / energy,
-        causes.noise / energy,
-        values,
-        step,
-    )
+    told, left = folds.told(names, best.name), max(folds.unexplained(names), 0.0)
+    step, of_each = float(weighing.records[0].time_step), np.array([left, 0.0])
+    left_of_each = Left(of_each, of_each + 0.5 * causes.noise)
+    undone = settled_at(best, told.value, told, folds, base, left_of_each, step)
     if not abs(undone.samples) > SMALLEST:
         return []
     return [Cause(best, told.value, causes.rms(before), causes.rms(left), {}, undone)]
@@ -370,8 +355,8 @@ def _of_sizes(record: Record, relation: Relation, sizes: Mapping[str, Told]) -> 
     suspect = min(suspects, key=lambda name: suspects[name][2])
     size, error, least = suspects[suspect]
     alike = [n for n, one in suspects.items() if n != suspect and one[2] < least + CLEAR**2]
-    freedom = next(iter(sizes.values())).freedom
-    if not abs(size - 1) > max(GAIN, error * float(tails.student(LEVEL / 2, freedom))):
+    told = Told(size - 1, error, next(iter(sizes.values())).freedom)
+    if not (abs(told.value) > GAIN and told.chance < LEVEL):
         return
     several, gross, gain = len(sizes) > 1, abs(size - 1) > GROSS, 1 / size
     if gross and not several:
@@ -379,15 +364,15 @@ def _of_sizes(record: Record, relation: Relation, sizes: Mapping[str, Told]) -> 
         return
     derivative, motion = relation.words(suspect)
     or_else = f" Or {' or '.join(alike)} is, which explains it as well." if alike else ""
-    told = f"{derivative} is {gain:.4g} ± {error * gain**2:.1g} times {motion}."
+    said = f"{derivative} is {gain:.4g} ± {error * gain**2:.1g} times {motion}."
     remedy = ("--scale", f"{suspect}={size:.5g}")
     how = shlex.join(remedy)
     yield Finding(
         "not_its_derivative" if gross else "wrong_gain",
-        f"{told} {suspect} is calibrated wrongly, or has another "
+        f"{said} {suspect} is calibrated wrongly, or has another "
         f"{'sign or unit' if gross else 'unit'}: scale it ({how}).{or_else}"
         if several
-        else f"{told} Which of the two is calibrated wrongly they cannot tell: scale that one "
+        else f"{said} Which of the two is calibrated wrongly they cannot tell: scale that one "
         f"({how}, or --scale {relation.signal}={gain:.5g}).",
         (suspect,) if several else (derivative, relation.signal),
         # A term may hold the signal squared, as drag does.
