@@ -255,6 +255,10 @@ class Told(NamedTuple):
     error: float
     freedom: int
 
+    def less(self, value: float) -> "Told":
+        """The same less this value."""
+        return self._replace(value=self.value - value)
+
     @property
     def chance(self) -> float:
         """Probability that one which explains nothing is as far from zero."""

@@ -6,7 +6,7 @@ again, until nothing is: there the answer is exact. Delays beyond the column's r
 from starts that lie so near to each other that one of them is within it.
 
 Behind a first-order low-pass of time constant tau a sensor shows z with s = z + tau z': to first
-order in tau that is the same column, and which of the two, undone, leaves less tells them apart.
+order in tau that is the same column, and what is left of the second order tells them apart.
 
 **A delay that changes.** Delays that grow evenly along a record are of two clocks, those that jump
 of rows that one signal lost. Sums by fold of time of the record with a signal advanced by whole
@@ -22,11 +22,11 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax import tails
-from riecjax.doubts.causes import CLEARER, LEVEL, OF_NOISE
+from riecjax.doubts.causes import LEVEL
 from riecjax.doubts.columns import Asked, Doubt, folds_of, longest_delay
 from riecjax.errors import DataError
 from riecjax.findings import option_for
-from riecjax.folds import Folds, Left, Told, chance, solved
+from riecjax.folds import Folds, Told, solved
 from riecjax.records.preparation.filtering import unfilter
 from riecjax.records.preparation.resampling import shift
 from riecjax.records.record import Record
@@ -48,7 +48,7 @@ class Settled(NamedTuple):
     **Fields:** `signals`; `size` in the unit of its column, seconds of a delay, or of the time
     constant of a first-order low-pass where it is `low_passed`; standard `error` and `reach`, half
     an interval at the level of an answer; `left` beyond noise and `noise`, as shares of the
-    target's energy, and of each fold `by_fold`; `values` of parameters by stage and name; seconds
+    target's energy; `values` of parameters by stage and name; seconds
     between samples, `step`; whether delay and low-pass are told apart for `certain`.
     """
 
@@ -60,7 +60,6 @@ class Settled(NamedTuple):
     noise: float
     values: dict[str, float]
     step: float
-    by_fold: Float[np.ndarray, " folds"]
     low_passed: bool = False
     certain: bool = True
 
@@ -68,16 +67,6 @@ class Settled(NamedTuple):
     def samples(self) -> float:
         """A delay in samples."""
         return self.size / self.step
-
-    def is_clear_of(self, other: "Settled", is_exact: bool) -> bool:
-        """Whether another doubt leaves clearly more, of an equation that `is_exact` but for noise
-        by all folds, of any other by so much that no error of the model makes it."""
-        if not is_exact:
-            return other.left > max(CLEARER * self.left, OF_NOISE * self.noise)
-        count = min(other.by_fold.size, self.by_fold.size)
-        more = other.by_fold[:count] - self.by_fold[:count]
-        error = float(np.std(more, ddof=1)) / np.sqrt(more.size)
-        return float(np.mean(more)) > 0 and bool(chance(more.mean(), error, more.size - 1) < LEVEL)
 
 
 def settled(
@@ -102,7 +91,9 @@ def settled(
         if not (np.isfinite(told.value) and np.isfinite(told.error)):
             return None
         if abs(told.value) <= max(SETTLED * told.error, 1e-9 * most) or turn == TURNS - 1:
-            found = settled_at(doubt, size, told, folds, names, folds.left(names), step)
+            left = folds.left(names)
+            energies = float(left.motion.sum()), float(left.samples.sum())
+            found = settled_at(doubt, size, told, folds, names, energies, step)
             return found._replace(low_passed=lagged)
         asked = asked.with_values(
             dict(zip((*names, doubt.name), folds.fitted((*names, doubt.name))))
@@ -119,17 +110,35 @@ def settled_at(
     told: Told,
     folds: Folds,
     names: Sequence[str],
-    left: Left,
+    left: tuple[float, float],
     step: float,
 ) -> Settled:
-    """So much of a doubt, of which a column was `told` beside those of these names, which leave so
-    much of each fold."""
+    """So much of a doubt, of which a column was `told` beside those of these names, which leave
+    energies of the motion and of the samples."""
     values = dict(zip(names, folds.fitted(names).tolist()))
     reach = float(tails.student(LEVEL / 2, told.freedom)) * told.error
-    by_fold = left.motion / folds.energy
-    noise = max(float(left.samples.sum()) / folds.energy - float(by_fold.sum()), 0.0)
-    motion = float(by_fold.sum())
-    return Settled(doubt.signals, size, told.error, reach, motion, noise, values, step, by_fold)
+    motion, samples = (energy / folds.energy for energy in left)
+    noise = max(samples - motion, 0.0)
+    return Settled(doubt.signals, size, told.error, reach, motion, noise, values, step)
+
+
+def low_pass_of(asked: Asked, records: Sequence[Record], delay: Doubt, size: float) -> Told | None:
+    """How much of a low-pass there is in a delay of this size: 1 is all, 0 none.
+
+    Behind a low-pass of time constant tau a sensor shows s - tau s' + tau^2 s'' - ..., and tau late
+    s - tau s' + tau^2 / 2 s'' - .... So once the delay is undone, half of tau^2 s'' is left.
+    """
+    undone = _undone(records, delay, size, False)
+    if undone is None:
+        return None
+    bend = Doubt("bend", "gain", delay.signals, lambda samples, rate, time: _slope(rate, time))
+    folds = folds_of(asked, undone, [delay, bend])
+    told = folds.told(folds.parameters, bend.name)
+    return Told(2 * told.value / size**2, 2 * told.error / size**2, told.freedom)
+
+
+def _slope(values: np.ndarray, time: np.ndarray) -> np.ndarray:
+    return np.gradient(values, time[1] - time[0])
 
 
 def _undone(

@@ -25,7 +25,15 @@ from riecjax.doubts.columns import (
     plausible,
     sensors,
 )
-from riecjax.doubts.delays import CERTAIN, SMALLEST, Course, Settled, Shifts, settled
+from riecjax.doubts.delays import (
+    CERTAIN,
+    SMALLEST,
+    Course,
+    Settled,
+    Shifts,
+    low_pass_of,
+    settled,
+)
 from riecjax.doubts.modes import Ringing, best_mode
 from riecjax.equations import expressions
 from riecjax.equations.model import Model
@@ -185,12 +193,12 @@ class Weighing:
             found = self._settled(doubt, start * float(self.records[0].time_step))
         if found is None or not (abs(found.size) > found.reach and abs(found.samples) > SMALLEST):
             return None
-        if found.size > 0:
-            lagged = self._settled(doubt, found.size, lagged=True)
-            if lagged is not None:
-                if lagged.is_clear_of(found, self.is_exact):
-                    return lagged
-                found = found._replace(certain=found.is_clear_of(lagged, self.is_exact))
+        share = low_pass_of(self.asked, self.records, doubt, found.size)
+        if found.size > 0 and share is not None:
+            is_bent, is_late = share.chance < LEVEL, share.less(1.0).chance < LEVEL
+            if is_bent and share.value > HALF:
+                return self._settled(doubt, found.size, lagged=True) or found
+            found = found._replace(certain=is_late)
         return found
 
     def _curved(self, doubt: Doubt) -> Settled | None:

@@ -42,7 +42,7 @@ from riecjax.equations.model import Model, as_model
 from riecjax.equations.term import Term
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.folds import Folds, Left, Told
+from riecjax.folds import Folds, Told
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.faults.spikes import repair_outliers
 from riecjax.records.noise_judgement import judged
@@ -54,6 +54,8 @@ from riecjax.records.relations import Pairs, Relation, relations, summed, with_s
 SHORTEST, FEWEST = 8, 24
 """Samples of the longest windows at the least, of which the shortest are an eighth; and how many of
 them a record has. They are as long as a period of the usual motion, if that is longer."""
+START, SMALL = 16, 3e-5
+"""Samples of the longest windows that are tried first, and the share of noise that is small."""
 MOST_NOISE = 0.5
 """Share of the derivative's energy that must be motion for anything to be told."""
 TINY = 1e-70
@@ -186,8 +188,7 @@ def _weighed(relation: Relation, record: Record, by: Sequence[str] = ()) -> Weig
     """What may be amiss with the terms of a relation, or `by` some of its signals."""
     record = judged(record)
     step, terms = float(record.time_step), relation.terms
-    longest = min(_usual_period(each.with_nan) for each in record.by_name.values())
-    longest = max(min(longest, record.sample_count // FEWEST), SHORTEST)
+    longest = max(_longest(record, relation.signal), SHORTEST)
     windows = AllWindows(max(longest // SHORTEST, 2) * step, longest * step)
     doubts = list[Doubt]()
     for name in by or (relation.names if len(terms) > 1 else terms):
@@ -210,6 +211,21 @@ def _model(relation: Relation) -> Model:
     """The equation that a relation is, a parameter for the size of each term."""
     terms = [Term(name, name) for name in relation.terms]
     return as_model(Equation(*terms, -Term(1.0, relation.signal, derivative=1)))
+
+
+def _longest(record: Record, signal: str) -> int:
+    """Samples of the longest windows: no more than make noise a small share of what they see."""
+    most = min(_usual_period(each.with_nan) for each in record.by_name.values())
+    most, size = min(most, record.sample_count // FEWEST), START
+    area, noise = np.cumsum(record.arrays[signal]), float(record.noise.std(signal))
+    while size < most:
+        # A hat's row of x' is the mean of x over its second half less that over its first one.
+        half = size // 2
+        seen = (area[2 * half :] - 2 * area[half:-half] + area[: -2 * half]) / half
+        if 2 * noise**2 / half < SMALL * float(np.mean(seen**2)):
+            break
+        size = size * 3 // 2
+    return min(size, most)
 
 
 def _usual_period(values: np.ndarray) -> int:
@@ -259,9 +275,8 @@ def _of_few(weighing: Weighing) -> list[Cause]:
     # As its column says: a step behind a mean is late by the mean's first moment, whatever delay
     # leaves least of the rest.
     told, left = folds.told(names, best.name), max(folds.unexplained(names), 0.0)
-    step, of_each = float(weighing.records[0].time_step), np.array([left, 0.0])
-    left_of_each = Left(of_each, of_each + 0.5 * causes.noise)
-    undone = settled_at(best, told.value, told, folds, base, left_of_each, step)
+    step = float(weighing.records[0].time_step)
+    undone = settled_at(best, told.value, told, folds, base, (left, left + causes.noise), step)
     if not abs(undone.samples) > SMALLEST:
         return []
     return [Cause(best, told.value, causes.rms(before), causes.rms(left), {}, undone)]
@@ -351,7 +366,8 @@ def _of_sizes(record: Record, relation: Relation, sizes: Mapping[str, Told]) -> 
     }
     if len(sizes) > 1:
         left = float(np.sum(((values - common) / errors) ** 2))
-        suspects[relation.signal] = 1 / common, float(np.sum(errors**-2.0)) ** -0.5, left
+        error = float(np.sum(errors**-2.0)) ** -0.5 / common**2
+        suspects[relation.signal] = 1 / common, error, left
     suspect = min(suspects, key=lambda name: suspects[name][2])
     size, error, least = suspects[suspect]
     alike = [n for n, one in suspects.items() if n != suspect and one[2] < least + CLEAR**2]
