@@ -42,6 +42,18 @@ def test_what_passes_through_zero_does_not_rest(share):
         assert rest(noisy, size) is None
 
 
+def test_a_velocity_of_single_counts_rests_where_it_is_zero():
+    """Slow motion and rests, by counts as large as what it changes by from sample to sample."""
+    motion = joint(3, Shape(10_001, 500))["dq"]
+    for counts in (1.0, 4.0, 8.0):
+        count = counts * np.median(np.abs(np.diff(motion[motion != 0])))
+        found = rest(count * np.round(motion / count))
+        assert found is not None
+        assert found.share == pytest.approx(np.mean(motion == 0), rel=0.4)
+        for seed in range(10):
+            assert rest(count * np.round(swinging(seed) / count)) is None
+
+
 @pytest.mark.parametrize("values", [np.zeros(300), np.ones(300), np.r_[np.zeros(299), 1.0]])
 def test_a_signal_that_never_moves_does_not_rest(values):
     assert rest(values) is None

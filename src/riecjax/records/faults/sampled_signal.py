@@ -279,13 +279,15 @@ def percent(part: float, whole: float) -> str:
 NOISES, MOVES = 3.0, 1.0
 """What is about zero: so many standard deviations of noise, or usual changes over a sample."""
 FEWEST = 6
-"""Samples of a rest at the least."""
+"""Samples of a rest at the least, and twice the quanta that motion takes meanwhile."""
 STILL = 1.5
 """Mean square of a rest at the most, in that of the noise."""
 RISE = 3.0
 """Slope along a rest at the most, in standard errors by the noise."""
 LEAST = 0.005
 """Share of a record that counts as rest at the least."""
+COARSE = 0.03
+"""The same where motion that turns near zero stays there, by counts that it seldom changes."""
 OF_SLOW = 0.3
 """The same of all that is about zero: of what passes through slowly, a fifth looks still."""
 REACH = (6.0, 4.0)
@@ -311,7 +313,12 @@ def rest_of(record: Record, name: str) -> Rest | None:
         if not (change > 0).any():
             return None
         noise, usual = float(record.noise.std(name)), float(np.median(change[change > 0]))
-        near = max(NOISES * noise, MOVES * usual)
+        # Of what changes by single quanta, none is about zero but zero.
+        known = values[~np.isnan(values)]
+        quantum = resolution_of(levels_of(known, rounding_of(known))[0])
+        is_coarse = usual <= 2 * quantum
+        near = max(NOISES * noise, 0.5 * quantum if is_coarse else MOVES * usual)
+        fewest = max(FEWEST, FEWEST * quantum / (2 * float(np.nanmean(change))))
         about = np.where(np.abs(values) <= near, values / near, np.nan)
     if not np.isfinite(near) or np.isnan(about).mean() > 1 - LEAST:
         return None
@@ -324,10 +331,10 @@ def rest_of(record: Record, name: str) -> Rest | None:
     level, moment, energy = np.add.reduceat(columns, starts, axis=1)
     middle = place[starts] + 0.5 * (lengths - 1) / values.size
     rise = np.abs(moment - middle * level) * values.size
-    still = (lengths >= FEWEST) & (rise <= RISE * np.sqrt(lengths**3 / 12))
+    still = (lengths >= fewest) & (rise <= RISE * np.sqrt(lengths**3 / 12))
     still &= energy <= STILL * lengths
     share = lengths[still].sum() / values.size
-    if not max(LEAST, OF_SLOW * lengths.sum() / values.size) < share < 1:
+    if not max(COARSE if is_coarse else LEAST, OF_SLOW * lengths.sum() / values.size) < share < 1:
         return None
     return Rest(float(share), max(REACH[0] * noise, REACH[1] * usual))
 
