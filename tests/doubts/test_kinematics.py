@@ -143,6 +143,7 @@ def test_a_delay_is_found_to_a_part_of_a_sample(noise, within, delay):
     (name,) = pair.late
     assert name == ("v" if delay > 0 else "x")
     assert pair.late[name].samples == pytest.approx(abs(delay), abs=within)
+    assert pair.sizes is not None
     assert pair.sizes["v"].value == pytest.approx(1, abs=0.01)
     assert not pair.late[name].low_passed
 
@@ -199,9 +200,9 @@ def test_what_was_computed_from_the_signal_is_not_compared():
 def test_what_moves_between_samples_is_not_integrated(is_held):
     """A road that is held between samples, or goes on straight lines on which a wheel follows."""
     rng, memory = np.random.default_rng(0), 0.0 if is_held else 0.85
-    road = scipy.signal.lfilter([1.0], [1.0, -memory], rng.standard_normal(COUNT))
+    road = np.asarray(scipy.signal.lfilter([1.0], [1.0, -memory], rng.standard_normal(COUNT)))
     fine = np.interp(np.arange(8 * COUNT - 7) / 8, np.arange(COUNT), road)
-    wheel = scipy.signal.lfilter([0.05], [1.0, -0.95], fine)
+    wheel = np.asarray(scipy.signal.lfilter([0.05], [1.0, -0.95], fine))
     tyre = scipy.integrate.cumulative_simpson(fine - wheel, dx=STEP / 8, initial=0)[::8]
     if is_held:
         tyre = np.concatenate([[0.0], np.cumsum(STEP * (road - wheel[::8]))[:-1]])
