@@ -248,10 +248,8 @@ def _causes(weighing: Weighing, relation: Relation) -> list[Cause]:
 
     causes = [cause for cause in weighing.found() if matters(cause)]
     # A signal alone that comes early has the one late, or filtered, that it is the derivative of.
-    if relation.terms == relation.names[1:2] and any(
-        cause.undone is not None and cause.doubt.kind == "delay" and cause.size < 0
-        for cause in causes
-    ):
+    delays = [cause for cause in causes if cause.undone and cause.doubt.kind == "delay"]
+    if len(relation.terms) == 1 and any(cause.size < 0 for cause in delays):
         other = _weighed(relation, weighing.records[0], [relation.signal])
         return other.found() or causes
     return causes
@@ -289,10 +287,9 @@ def _told(cause: Cause, relation: Relation, weighing: Weighing) -> Finding:
     against = Equated(f"{says} says", "they differ by", "the motion", "velocity_offset")
     cause = cause._replace(moved={})
     finding = finding_of(cause, weighing.asked.model, weighing.records, against)
-    code = finding.code
     others = () if cause.undone is not None else [n for n in relation.names if n != name]
     message = finding.message
-    if code in ("velocity_offset", "drifting_signal"):
+    if finding.code in ("velocity_offset", "drifting_signal"):
         message = f"{message} Or {relation.signal} drifts."
     return finding._replace(
         message=message,
