@@ -160,6 +160,10 @@ class Weighing:
             one = self._followed(known)
             if one is None and is_notable and self.ringing:
                 one = self._hysteresis() or self._mode()
+                # A rough shape is no cause where a delay explains more.
+                best = min(delays, key=lambda delay: causes.left([delay]), default=None)
+                if one and best and causes.rms(causes.left([best])) < one.left:
+                    one = self._cause(best, [best], known[best])
             return [] if one is None else [one]
         if [doubt.kind for doubt in chosen] == ["delay"] and self._is_changing(chosen[0]):
             one = self._followed(known)
