@@ -17,12 +17,12 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 49_525,
+    "src lines": 49_575,
     "src modules": 205,
-    "src statements": 23_740,
-    "src literals": 1_530,
+    "src statements": 23_775,
+    "src literals": 1_535,
     "lines of commands and settings": 2_300,
-    "tests lines": 27_100,
+    "tests lines": 27_130,
     "benchmarks lines": 8_720,
     "README lines": 150,
 }
