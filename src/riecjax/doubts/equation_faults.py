@@ -313,6 +313,7 @@ def nothing(model: Model, records: Sequence[Record]) -> Sequence[Doubt]:
     return ()
 
 
+@np.errstate(all="ignore")
 def demanded(
     model: Model,
     records: Sequence[Record],
@@ -335,8 +336,11 @@ def demanded(
         return []
     read = {n for each in records for n in signals_read(model, each, criterion, summed=True)}
     doubts = [*sensors(model, records, read), *lacked(model, records)]
-    weighing = Weighing.of(Asked.of(model, estimate), records, doubts, ringing=True)
-    return [cause for cause in weighing.found() if _matters(cause, estimate)]
+    try:
+        weighing = Weighing.of(Asked.of(model, estimate), records, doubts, ringing=True)
+        return [cause for cause in weighing.found() if _matters(cause, estimate)]
+    except np.linalg.LinAlgError:  # of samples whose products are no numbers
+        return []
 
 
 def _matters(cause: Cause, estimate: Estimate) -> bool:

@@ -198,7 +198,9 @@ def _candidates(columns: Sequence[Samples]) -> Iterator[tuple[int, int, int]]:
     block, coarse, tries = 16, 16 * ROUNDED, 3
     spreads = [spread for column in columns if column.size and (spread := spread_of(column)) > 0]
     quantum = coarse * float(np.median(spreads)) if spreads else 1.0
-    keys = [np.unique(row_keys([np.round(c / quantum)], block), True) for c in columns]
+    # Of values that are too small or too large to be held against each other.
+    with np.errstate(all="ignore"):
+        keys = [np.unique(row_keys([np.round(c / quantum)], block), True) for c in columns]
     key, place = (np.concatenate(parts) for parts in zip(*keys))
     owner = np.repeat(np.arange(len(keys)), [each.size for each, _ in keys])
     order = np.lexsort((owner, key))
