@@ -196,10 +196,10 @@ def _candidates(columns: Sequence[Samples]) -> Iterator[tuple[int, int, int]]:
     16 rows are still the same. Offsets come by falling number of blocks, at most three of a pair.
     """
     block, coarse, tries = 16, 16 * ROUNDED, 3
-    spreads = [spread for column in columns if column.size and (spread := spread_of(column)) > 0]
-    quantum = coarse * float(np.median(spreads)) if spreads else 1.0
     # Of values that are too small or too large to be held against each other.
     with np.errstate(all="ignore"):
+        spreads = [spread for each in columns if each.size and (spread := spread_of(each)) > 0]
+        quantum = coarse * float(np.median(spreads)) if spreads else 1.0
         keys = [np.unique(row_keys([np.round(c / quantum)], block), True) for c in columns]
     key, place = (np.concatenate(parts) for parts in zip(*keys))
     owner = np.repeat(np.arange(len(keys)), [each.size for each, _ in keys])
