@@ -17,7 +17,7 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 49_575,
+    "src lines": 49_580,
     "src modules": 205,
     "src statements": 23_775,
     "src literals": 1_535,
