@@ -93,10 +93,10 @@ class Folds(NamedTuple):
         at, total = self.columns(names), self.motion.sum(0)
         return solved(total[np.ix_(at, at)], total[at, 0])
 
-    def unexplained(self, names: Sequence[str]) -> float:
-        """Energy of the motion that the coefficients from all folds leave of all."""
+    def unexplained(self, names: Sequence[str]) -> Float[np.ndarray, " folds"]:
+        """Energy of the motion that the coefficients from all folds leave of each."""
         at, row = np.append(0, self.columns(names)), np.append(1.0, -self.fitted(names))
-        return float(row @ self.motion.sum(0)[np.ix_(at, at)] @ row)
+        return np.einsum("i,fij,j->f", row, self.motion[:, at[:, None], at], row)
 
     def left(self, names: Sequence[str]) -> Left:
         """What is unexplained of each fold by coefficients from all others."""

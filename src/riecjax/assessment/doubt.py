@@ -395,10 +395,10 @@ def with_doubts(
     doubts: dict[str, dict[str, float]] = {}
     for code in {finding.code for finding in checked.findings if finding.about.undo}:
         with contextlib.suppress(DataError, IdentifiabilityError):
-            taken_off = [undone(one, _remedies(checked, code, model, one)) for one in records]
-            if taken_off == [*records]:
+            remedies = [_remedies(checked, code, model, one) for one in records]
+            if not any(remedies):
                 continue
-            other = again(taken_off)
+            other = again([undone(one, options) for one, options in zip(records, remedies)])
             doubts[code] = {
                 name: abs(float(other[name]) / float(estimate[name]) - 1)
                 for name in estimate.parameters

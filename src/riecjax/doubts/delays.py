@@ -48,8 +48,8 @@ class Settled(NamedTuple):
     **Fields:** `signals`; `size` in the unit of its column, seconds of a delay, or of the time
     constant of a first-order low-pass where it is `low_passed`; standard `error` and `reach`, half
     an interval at the level of an answer; `left` beyond noise and `noise`, as shares of the
-    target's energy; `values` of parameters by stage and name; seconds
-    between samples, `step`; whether delay and low-pass are told apart for `certain`.
+    target's energy; `values` of parameters by stage and name; seconds between samples, `step`;
+    whether delay and low-pass are told apart for `certain`.
     """
 
     signals: tuple[str, ...]

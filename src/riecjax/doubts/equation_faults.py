@@ -123,7 +123,7 @@ class Weighing:
             is_promising = is_promising or any(map(rough.is_sure, rough.offered))
         if not is_promising or is_moot(rough):
             rough.offered = []
-            return cls(asked, records, rough, ringing=ringing)
+            return cls(asked, records, rough, (), ringing, is_exact)
         fixed = asked.resting_on_earlier
         near = [doubt for doubt in rough.nearest(NEAR) if doubt.equation not in fixed]
         folds = folds_of(asked, records, near)
@@ -197,8 +197,10 @@ class Weighing:
             found = self._settled(doubt, start * float(self.records[0].time_step))
         if found is None or not (abs(found.size) > found.reach and abs(found.samples) > SMALLEST):
             return None
+        if found.size < 0:
+            return found
         share = low_pass_of(self.asked, self.records, doubt, found.size)
-        if found.size > 0 and share is not None:
+        if share is not None:
             is_bent, is_late = share.chance < LEVEL, share.less(1.0).chance < LEVEL
             if is_bent and share.value > HALF:
                 return self._settled(doubt, found.size, lagged=True) or found
@@ -243,7 +245,7 @@ class Weighing:
             undone,
             offset=after[zeros[0].name] if zeros else 0.0,
             certain=causes.is_certain(chosen, doubt, instead),
-            same=tuple(one for one in causes.every if one in causes.same_as(doubt, instead)),
+            same=tuple(causes.same_as(doubt, [one for one in causes.every if one in instead])),
             instead=tuple(instead),
         )
 

@@ -143,7 +143,7 @@ def compare(record: Record, relation: Relation) -> Compared | None:
             except DataError:  # too little of it is left
                 is_undone = False
     folds, names = weighing.causes.folds, weighing.causes.base
-    explained = 1 - folds.unexplained(names) / float(folds.motion[:, 0, 0].sum())
+    explained = 1 - float(folds.unexplained(names).sum() / folds.motion[:, 0, 0].sum())
     sizes = _sizes(folds, relation) if is_undone else None
     off = {n: one.value - 1 for n, one in (sizes or {}).items() if abs(one.value - 1) > GAIN}
     if off:
@@ -260,19 +260,19 @@ def _of_few(weighing: Weighing) -> list[Cause]:
     with nothing to hold it against, since the relation is exact but for noise."""
     causes, delays = weighing.causes, [d for d in weighing.causes.every if d.kind == "delay"]
     folds, base = causes.folds, causes.base
-    at, row = np.append(0, folds.columns(base)), np.append(1.0, -folds.fitted(base))
-    left = np.einsum("i,fij,j->f", row, folds.motion[:, at[:, None], at], row)
-    if np.sum(left > MOVING * left.max()) >= FEWEST_FOLDS or not delays:
+    of_each = folds.unexplained(base)
+    if np.sum(of_each > MOVING * of_each.max()) >= FEWEST_FOLDS or not delays:
         return []
+    before = float(of_each.sum())
+    with_delays = [float(folds.unexplained([*base, one.name]).sum()) for one in delays]
+    place = int(np.argmin(with_delays))
+    left, best = with_delays[place], delays[place]
     # Beyond what noise may be taken for.
-    before = folds.unexplained(base)
-    best = min(delays, key=lambda delay: folds.unexplained([*base, delay.name]))
-    names = [*base, best.name]
-    if not (before > causes.noise and folds.unexplained(names) < UNEXPLAINED * before):
+    if not (before > causes.noise and left < UNEXPLAINED * before):
         return []
     # As its column says: a step behind a mean is late by the mean's first moment, whatever delay
     # leaves least of the rest.
-    told, left = folds.told(names, best.name), max(folds.unexplained(names), 0.0)
+    told, left = folds.told([*base, best.name], best.name), max(left, 0.0)
     step = float(weighing.records[0].time_step)
     undone = settled_at(best, told.value, told, folds, base, (left, left + causes.noise), step)
     if not abs(undone.samples) > SMALLEST:
@@ -324,8 +324,9 @@ def check_kinematics(record: Record, pairs: Pairs) -> list[Finding]:
 def findings_of(record: Record, compared: Compared) -> Iterator[Finding]:
     """What is amiss between the signals of a relation that were compared."""
     relation, found = compared.relation, compared.found
-    is_cut = any(one.code == "lost_rows" for one in found)
-    if not is_cut and (cut := cut_rows(*with_sum(record, relation))):
+    if "lost_rows" not in {one.code for one in found} and (
+        cut := cut_rows(*with_sum(record, relation))
+    ):
         yield cut._replace(signals=relation.names)
         return
     yield from found

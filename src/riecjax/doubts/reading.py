@@ -8,12 +8,11 @@ from riecjax.doubts.delays import SMALLEST
 from riecjax.doubts.kinematics import GROSS, UNRELATED, Compared, compare, findings_of
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.faults.rows import cut_rows
 from riecjax.records.faults.signals import holding
 from riecjax.records.preparation.resampling import shift
 from riecjax.records.record import Record
 from riecjax.records.recording import Aligned, Recording, every_recording, only_recording
-from riecjax.records.relations import Pairs, relations, with_sum
+from riecjax.records.relations import Pairs, relations
 from riecjax.settings import Reading, taking
 
 
@@ -43,8 +42,9 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
     if how == "none":
         return Aligned(record)
     compared = [one for relation in every if (one := compare(record, relation)) is not None]
-    holds = tuple(one.relation for one in compared if not any(findings_of(record, one)))
-    found = [one for each in compared if (one := _in_step(record, each)) is not None]
+    findings = [[*findings_of(record, one)] for one in compared]
+    holds = tuple(one.relation for one, told in zip(compared, findings) if not told)
+    found = [one for each in zip(compared, findings) if (one := _in_step(*each)) is not None]
     # What a sensor holds for a while is no delay, and is found no more once it is shifted.
     if not names and any(one.late for one in found):
         held = holding(record, {name for one in found for name in one.late})
@@ -88,15 +88,14 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
     return Aligned(shift(record, late), words, tuple(told))
 
 
-def _in_step(record: Record, one: Compared) -> Compared | None:
+def _in_step(one: Compared, findings: Sequence[Finding]) -> Compared | None:
     """Signals that belong to each other, of which no lost rows, clocks or filters look like a
     delay."""
-    if one.explained < UNRELATED:
-        return None
-    if any(abs(size.value - 1) > GROSS for size in (one.sizes or {}).values()):
+    is_gross = any(abs(size.value - 1) > GROSS for size in (one.sizes or {}).values())
+    if is_gross or one.explained < UNRELATED:
         return None
     late = {n: each for n, each in one.late.items() if not each.low_passed}
-    if late and cut_rows(*with_sum(record, one.relation)):
+    if late and any(told.code == "lost_rows" and told not in one.found for told in findings):
         return None
     return one._replace(late=late)
 

@@ -28,12 +28,6 @@ class Relation(NamedTuple):
         """Whether the derivative is one signal as it is."""
         return len(self.of) == 1 and self.of[0][1] == 1
 
-    @property
-    def suspects(self) -> tuple[str, ...]:
-        """Signals each of which may alone be wrong: of a signal and its derivative it is moot
-        which."""
-        return self.terms if len(self.of) == 1 else self.names
-
     def words(self, suspect: str) -> tuple[str, str]:
         """What a term is called, or the whole sum; and what it should be equal to."""
         if suspect not in self.terms:

@@ -313,9 +313,12 @@ def rest_of(record: Record, name: str) -> Rest | None:
         if not (change > 0).any():
             return None
         noise, usual = float(record.noise.std(name)), float(np.median(change[change > 0]))
-        # Of what changes by single quanta, none is about zero but zero.
-        known = values[~np.isnan(values)]
-        quantum = resolution_of(levels_of(known, rounding_of(known))[0])
+        # Of what changes by single quanta, none is about zero but zero. Steps are multiples of
+        # them, so that where some are far smaller than usual there is nothing to be sorted.
+        quantum = 0.0
+        if usual <= 2 * float(np.min(change[change > 0])):
+            known = values[~np.isnan(values)]
+            quantum = resolution_of(levels_of(known, rounding_of(known))[0])
         is_coarse = usual <= 2 * quantum
         near = max(NOISES * noise, 0.5 * quantum if is_coarse else MOVES * usual)
         fewest = max(FEWEST, FEWEST * quantum / (2 * float(np.nanmean(change))))
