@@ -171,6 +171,9 @@ def test_gaps_and_spikes_hide_no_delay():
     assert compared(holed).late["v"].samples == pytest.approx(0.5, abs=0.05)
 
 
+FEW = np.arange(33)
+
+
 @pytest.mark.parametrize(
     ("x", "v"),
     [
@@ -181,12 +184,14 @@ def test_gaps_and_spikes_hide_no_delay():
         (np.sin(0.1 * np.arange(500)), np.full(500, 1e308)),
         (np.arange(20.0), np.ones(20)),
         (np.arange(500.0), np.ones(500)),
+        # Windows too few to give an error.
+        (np.sin(FEW / 10), 11 * np.cos(FEW / 10) + 0.1 + 0.05 * np.sin(FEW**2)),
     ],
 )
 def test_nothing_breaks_it(x, v):
     record = rx.Record.from_samples({"x": x, "v": v}, time_step=STEP)
     for finding in check_kinematics(record, [("x", "v"), ("v", "x")]):
-        assert {*finding.signals} == {"x", "v"}
+        assert {*finding.signals} <= {"x", "v"}
         assert 0 < finding.doubt <= 1
 
 

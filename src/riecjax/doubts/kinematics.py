@@ -149,17 +149,21 @@ def compare(record: Record, relation: Relation) -> Compared | None:
     if off:
         # Of what is as fast as samples the size depends on its course between them.
         others = _sizes(_by_trapezoids(weighing.asked, weighing.records[0]), relation)
-        sizes = sizes if all((others[n].value - 1) * by > 0 for n, by in off.items()) else None
+        sizes = (
+            sizes
+            if others and all((others[n].value - 1) * by > 0 for n, by in off.items())
+            else None
+        )
     return Compared(relation, tuple(found.values()), late, sizes, explained)
 
 
-def _sizes(folds: Folds, relation: Relation) -> dict[str, Told]:
-    """Of the terms of a relation, 1 where they are right."""
+def _sizes(folds: Folds, relation: Relation) -> dict[str, Told] | None:
+    """Of the terms of a relation, 1 where they are right; `None` where no error can be given."""
     names, sizes = folds.parameters[: len(relation.of)], {}
     for name, factor in relation.of:
         one = folds.told(names, f"0.{name}")
         sizes[name] = Told(one.value / factor, abs(one.error / factor), one.freedom)
-    return sizes
+    return sizes if np.isfinite([one.error for one in sizes.values()]).all() else None
 
 
 def _by_trapezoids(asked: Asked, record: Record) -> Folds:
