@@ -23,7 +23,8 @@ class FindingClass(NamedTuple):
 
     **Fields:**
 
-    - `kind` of cause, and its `phrase` in a sentence, with places for `{signals}`, `{parameters}`.
+    - `kind` of cause, and its `phrase` in a sentence, with places for `{signals}`,
+      `{one_of}` them, and `{parameters}`.
     - `refuses`: that it leaves no `"answer"` at all, or none by `"windows"`, where output error,
       which needs no derivative, may have one; `explains_refusal`: said in place of a refusal.
     - `rules_out`: the parameters that it names are not to be used, whatever their doubt;
@@ -59,8 +60,10 @@ class FindingClass(NamedTuple):
 
     def said(self, signals: tuple[str, ...] = (), parameters: tuple[str, ...] = ()) -> str:
         """The phrase, of these signals and parameters."""
+        listed = " and ".join(signals) or "a signal"
         return self.phrase.format(
-            signals=" and ".join(signals) or "a signal",
+            signals=listed,
+            one_of=f"one of {listed}" if len(signals) > 1 else listed,
             parameters=", ".join(parameters) or "some parameters",
         )
 
@@ -156,10 +159,10 @@ CODES: dict[str, FindingClass] = {
     "two_clocks": _sensors("{signals} run by two clocks", disorder=True),
     "silent_input": _sensors("{signals} says nothing"),
     "late_signal": _sensors("{signals} is late", undo=True, feigned=True, disorder=True),
-    "low_passed": _sensors("one of {signals} is filtered", undo=True, feigned=True, disorder=True),
+    "low_passed": _sensors("{one_of} is filtered", undo=True, feigned=True, disorder=True),
     "wrong_gain": _sensors("{signals} do not fit each other in size", undo=True, feigned=True),
-    "drifting_signal": _sensors("one of {signals} drifts", undo=True),
-    "velocity_offset": _sensors("one of {signals} has an offset", undo=True),
+    "drifting_signal": _sensors("{one_of} drifts", undo=True),
+    "velocity_offset": _sensors("{one_of} has an offset", undo=True),
     "repeated_rows": _sensors("rows stand in the recording twice"),
     "wrong_zero": _sensors("a sensor's zero is off, or a constant force is missing"),
     "constant_signal": _sensors("{signals} never varies"),

@@ -3,6 +3,7 @@
 Motions are sums of sines, exact at any time, so that what each fault does to them is, too.
 """
 
+import dataclasses
 import itertools
 from collections.abc import Callable, Mapping
 
@@ -13,7 +14,7 @@ import scipy.signal
 
 import riecjax as rx
 from riecjax.doubts import align
-from riecjax.doubts.kinematics import Compared, check_kinematics, compare
+from riecjax.doubts.kinematics import Compared, check_kinematics, compare, implied
 from riecjax.equations.expressions import relation_of
 from riecjax.records.preparation.steps import undone
 from riecjax.records.relations import Relation, declared_pairs
@@ -223,6 +224,39 @@ def test_models_declare_relations_by_their_rates():
     equation = rx.Equation(rx.Term("k", "x2"), -rx.Term(1.0, "F"))
     rates = {"x2": rx.difference("x3", "x4"), "x": "v"}
     assert rx.staged(equation).with_rates(rates).derivatives == (SUM, PLAIN)
+
+
+def names_of(record: rx.Record, model: rx.Model) -> list[str]:
+    """Signals that the findings of a check name, late or filtered."""
+    findings = rx.check(model, record).findings
+    codes = ("low_passed", "late_signal", "velocity_offset")
+    return [name for one in findings if one.code in codes for name in one.signals]
+
+
+@mark.raises_finding("low_passed")
+@pytest.mark.parametrize("noise", NOISE)
+def test_a_velocity_is_held_against_its_position_whether_a_model_says_so_or_not(noise):
+    """v in place of x', once with what says it is and once with nothing."""
+    motion = Motion(PLAIN)
+    slow = recorded(motion, noise, faulty={"v": motion.at("v", TIME, lag=0.02)})
+    force = 2.0 * np.gradient(slow.arrays["v"], STEP) + 300.0 * slow.arrays["x"]
+    slow = slow.with_signals({"F": rx.Signal(force)})
+    terms = rx.Term("m", "v", derivative=1), rx.Term("k", "x"), -rx.Term(1.0, "F")
+    silent = rx.staged(rx.Equation(*terms))
+    said = rx.Model(name="rig", summary="", stages=silent.stages, derived={"v": "x"})
+    assert names_of(slow, silent) == names_of(slow, said) == ["v"]
+    fine = recorded(motion, noise).with_signals({"F": slow.signal("F")})
+    assert names_of(fine, silent) == []
+    assert implied(fine, ["F", "v", "x"], []) == [PLAIN]
+    assert implied(fine, ["F", "v", "x"], [PLAIN]) == []
+
+
+@pytest.mark.parametrize(("units", "seen"), [(("m", "m/s"), [PLAIN]), (("m", "N"), [])])
+def test_no_force_is_a_derivative(units, seen):
+    record = recorded(Motion(PLAIN))
+    with_units = dict(zip(("x", "v"), units))
+    signals = {n: dataclasses.replace(record.signal(n), unit=u) for n, u in with_units.items()}
+    assert implied(record.with_signals(signals), ["v", "x"], []) == seen
 
 
 @pytest.mark.parametrize(

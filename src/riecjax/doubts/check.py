@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.doubts.kinematics import check_kinematics
+from riecjax.doubts.kinematics import check_kinematics, implied
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
@@ -27,7 +27,7 @@ from riecjax.findings import Finding
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording, explaining_errors, findings_of
-from riecjax.records.relations import relations
+from riecjax.records.relations import Relation, relations
 from riecjax.settings import Check as CheckSettings
 from riecjax.settings import taking
 from riecjax.shows import Shown
@@ -205,15 +205,17 @@ def read_of(
 def of_sensors(model: Model, recording: Recording, read: Collection[str]) -> list[Finding]:
     """What is amiss with the sensors of one recording, of which these signals are read."""
     record, computed = recording.record, recording.computed
-    pairs = [p for e in model.equations for p in e.derivatives if {*p} <= {*read}]
+    pairs = [p for p in model.derivatives if not isinstance(p, Relation) and {*p} <= {*read}]
     # Of an input that no equation reads, as a road, a recording may tell all the same.
     known = [one for one in model.kinematics if {*one.names} <= {*record.arrays}]
+    known = [*relations([*pairs, *known])]
     of_signals = check_signals(record, read, computed=computed, pairs=pairs)
     # A value that is held, or cut off, is no gain: to scale it makes the rest wrong as well.
     # Nor are rows lost where one signal alone jumps, or is it late for what it held.
     held = {n for f in of_signals if f.about.holds for n in f.signals}
     # What holds was seen when it was read.
-    looked_at = [one for one in relations([*pairs, *known]) if one not in recording.kinematics]
+    looked_at = [one for one in known if one not in recording.kinematics]
+    looked_at += implied(record, [*read], known)
     of_pairs = [
         finding
         for finding in check_kinematics(record, looked_at)

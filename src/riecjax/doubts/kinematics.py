@@ -14,8 +14,9 @@ A pair shows differences alone: whether v is late or x early, whether v has an o
 it cannot tell, nor what both have in common, as a delay of both against the force.
 """
 
+import itertools
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -64,6 +65,8 @@ MOVING = 0.01
 """Energy that is left of a fold of time, over that of the one with most, where it counts."""
 ALIKE = 0.9
 """Share of its energy that a signal explains of the derivative that it is."""
+ROUGHLY = 0.5
+"""Size over that of an integral, and correlation with it, from which one is looked at closely."""
 ROUGH = 0.5
 """Mean square of a signal's steps, over its variance, past which none is looked at in a sum: of
 white noise it is 2, of noise up to an eighth of the sampling rate 0.2. What is too fast has an
@@ -288,7 +291,7 @@ def _told(cause: Cause, relation: Relation, weighing: Weighing) -> Finding:
     """The finding of a cause: all signals but those that are late may be the wrong ones."""
     (name,) = cause.doubt.signals
     says = relation.words(name)[0 if name == relation.signal else 1]
-    against = Equated(f"{says} says", "they differ by", "the motion", "velocity_offset")
+    against = Equated(f"{says} says", "the signals differ by", "the motion", "velocity_offset")
     cause = cause._replace(moved={})
     finding = finding_of(cause, weighing.asked.model, weighing.records, against)
     others = () if cause.undone is not None else [n for n in relation.names if n != name]
@@ -333,11 +336,14 @@ def findings_of(record: Record, compared: Compared) -> Iterator[Finding]:
     ):
         yield cut._replace(signals=relation.names)
         return
-    yield from found
     if compared.explained < UNRELATED and not found:
         yield _unrelated(relation, compared.explained)
-    elif compared.sizes is not None:
-        yield from _of_sizes(record, relation, compared.sizes)
+        return
+    sizes = [] if compared.sizes is None else [*_of_sizes(record, relation, compared.sizes)]
+    # What another unit or channel does in time is told once that is put right.
+    if not any(one.code == "not_its_derivative" for one in sizes):
+        yield from found
+    yield from sizes
 
 
 def _unrelated(relation: Relation, explained: float) -> Finding:
@@ -444,3 +450,31 @@ def is_derivative(record: Record, signal: str, others: Sequence[str]) -> bool:
         and all(abs(size.value - 1) < GROSS for size in one.sizes.values())
         for one in every
     )
+
+
+def implied(record: Record, names: Sequence[str], known: Collection[Relation]) -> list[Relation]:
+    """Signals that are derivatives of others by what they show, though nothing `known` says so."""
+    together = [{*one.names} for one in known]
+    return [
+        Relation(signal, ((other, 1.0),))
+        for signal, other in itertools.permutations(names, 2)
+        if not any({signal, other} <= each for each in together)
+        and _looks_like(record, signal, other)
+        and is_derivative(record, signal, [other])
+    ]
+
+
+@np.errstate(all="ignore")
+def _looks_like(record: Record, signal: str, other: str) -> bool:
+    """Whether a signal changes roughly by the integral of another, and units do not forbid it."""
+    units = [record.signal(name).unit for name in (signal, other)]
+    if all(units):
+        rates = [one.powers for one in readings(f"{units[0]}/s").values()]
+        if not any(one.powers in rates for one in readings(units[1]).values()):
+            return False
+    position, rate = (np.nan_to_num(record.signal(name).with_nan) for name in (signal, other))
+    lag = max(_usual_period(position) // 6, 1)
+    area = np.cumsum(rate - rate.mean()) * float(record.time_step)
+    changes, areas = (each[lag:] - each[:-lag] for each in (position, area))
+    size, alike = np.std(changes) / np.std(areas), np.corrcoef(changes, areas)[0, 1]
+    return bool(ROUGHLY < size < 1 / ROUGHLY and alike > ROUGHLY)

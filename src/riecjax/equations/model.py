@@ -198,7 +198,8 @@ class Model(PlainMethods, Shown, eqx.Module):
     def derivatives(self) -> "tuple[tuple[str, str] | Relation, ...]":
         """Signals with those that are their time derivatives, alone or as a sum."""
         pairs = (pair for equation in self.equations for pair in equation.derivatives)
-        return tuple(dict.fromkeys((*pairs, *self.kinematics)))
+        derived = ((of, name) for name, of in self.derived.items())
+        return tuple(dict.fromkeys((*derived, *pairs, *self.kinematics)))
 
     def with_rates(self, rates: Mapping[str, Expression]) -> "Model":
         """The same equations, knowing what the time derivatives of some signals are.

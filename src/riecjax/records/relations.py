@@ -76,6 +76,4 @@ def summed(terms: Iterable[tuple[str, float]]) -> str:
 
 def declared_pairs(model: Any) -> list[tuple[str, str] | Relation]:
     """Signals and their derivatives, as a `Model` or its equations call them."""
-    pairs: list[Any] = [(of, name) for name, of in getattr(model, "derived", {}).items()]
-    pairs += model.derivatives if hasattr(model, "stages") else ()
-    return list(dict.fromkeys(pairs))
+    return [*model.derivatives] if hasattr(model, "stages") else []

@@ -72,9 +72,10 @@ def print_check(document: Document, console: Console) -> None:
     # Whether the recordings can answer, in a sentence.
     doubts = len(document["warnings"])
     warned = f", with {doubts} warning{'s' * (doubts > 1)}" if doubts else ""
-    sentence = f"These recordings can answer what the model asks{warned}."
+    recordings = "These recordings" if len(document["records"]) > 1 else "This recording"
+    sentence = f"{recordings} can answer what the model asks{warned}."
     if not document["answerable"]:
-        sentence = "These recordings cannot answer what the model asks; see the warnings."
+        sentence = f"{recordings} cannot answer what the model asks; see the warnings."
     elif (errors := document["by_refinement"]) is not None:
         shares = (f"{name} to about {share_in_words(e, 2)}" for name, e in errors.items())
         sentence = (

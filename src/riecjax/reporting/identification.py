@@ -130,8 +130,8 @@ def modes_in_words(modes: Sequence[parts.ModePart]) -> Iterator[str]:
         yield (
             f"hidden mode on {mode.on}: {' +- '.join(frequency)} Hz with the body at rest, "
             f"damping ratio {' +- '.join(ratio)}, in windows of {lengths}, which tell most of it. "
-            f"On time that it was not found from {100 * left:.2g} % of {mode.equation} is left "
-            f"with it and {percents(mode.held_out.without, '.2g')} % without."
+            f"Left of {mode.equation} on stretches that it was not found from: "
+            f"{100 * left:.2g} % with it, {percents(mode.held_out.without, '.2g')} % without."
         )
         for stray in mode.strays:
             yield (
