@@ -8,10 +8,7 @@ own registers its codes by `CODES["rattle"] = FindingClass("sensors", "{signals}
 
 import functools
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
-
-if TYPE_CHECKING:
-    import numpy as np
+from typing import Literal, NamedTuple, get_args
 
 Kind = Literal["undetermined", "sensors", "model", "noise", "data", "computation", "reproduction"]
 KINDS: tuple[Kind, ...] = ("undetermined", "sensors", "model", "noise", "data", "computation")
@@ -102,20 +99,6 @@ def class_of(code: str) -> FindingClass:
 def option_for(option: str, signals: Iterable[str], value: str) -> tuple[str, ...]:
     """An option of the command line for each of these signals, `--shift v=0.005`."""
     return tuple(word for name in signals for word in (option, f"{name}={value}"))
-
-
-def line_taken_off(name: str, time: "np.ndarray", offset: float, change: float) -> tuple[str, ...]:
-    """The option that takes an offset off a signal, and a change along the record about its middle.
-
-    A formula, and not the mean or the straight line of what was recorded: those are the machine's
-    as well, as far as it does not come back to where it began. None for a name that no formula has.
-    """
-    if not name.isidentifier():
-        return ()
-    rate, middle = change / float(time[-1] - time[0]), 0.5 * (time[0] + time[-1])
-    constant = f"-({offset:.6g})" if offset else ""
-    line = f"-({rate:.6g})*(t-{middle:.15g})" if change else ""
-    return ("--derive", f"{name}={name}{constant}{line}")
 
 
 LONGER = "Record for longer, or excite the machine all along"

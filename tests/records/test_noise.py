@@ -186,6 +186,9 @@ def test_noise_of_formulas(logged):
     assert float(noise.std("square")) == pytest.approx(0.03 * slope, rel=0.01)
     assert float(noise.std("centred")) == pytest.approx(0.02, rel=0.01)
     assert noise.kernels["clock"] == {}
+    # A column in whose place a formula of it stands has that column's noise, judged or given.
+    centred = rx.read_recording(logged, derive={"a": "2*a - 1"}).record.noise
+    assert float(centred.std("a")) == pytest.approx(0.04, rel=0.05)
 
 
 def test_a_file_s_noise_is_that_of_its_samples(logged):

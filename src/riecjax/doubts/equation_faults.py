@@ -39,7 +39,7 @@ from riecjax.equations import expressions
 from riecjax.equations.model import Model
 from riecjax.equations.motions import per
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding, line_taken_off, option_for
+from riecjax.findings import Finding, option_for
 from riecjax.records.record import Record
 from riecjax.summaries.summarise import signals_read
 
@@ -511,9 +511,7 @@ def _of_zero(cause: Cause, model: Model, record: Record, says: str) -> _Said:
         then += "rx.Term('offset', rx.constant))"
         step = f"Estimate the zero of the sensor of {inputs[0]}, or a constant force"
     else:
-        remedy = (
-            line_taken_off(zeros[0], np.asarray(record.time), size, 0.0) if doubt.signals else ()
-        )
+        remedy = option_for("--zero", doubt.signals[:1], f"{size:.6g}")
         then = step = f"Take the offset off {zeros[0]}"
         then += f" (on the command line: {shlex.join(remedy)})" if remedy else ""
     return _Said("wrong_zero", what, f"{then}.", remedy, step)
@@ -567,7 +565,7 @@ def _of_size(cause: Cause, model: Model, record: Record, says: str) -> _Said:
             step=f"Add the term that is missing, {doubt.meaning}: riecjax discover",
         )
     (name,) = doubt.signals
-    unit, time = record.signal(name).unit, np.asarray(record.time)
+    unit = record.signal(name).unit
     amount = f"{size:.3g} {unit}".rstrip()
     if doubt.kind == "gain":
         remedy = ("--scale", f"{name}={1 / (1 + size):.5g}")
@@ -580,7 +578,13 @@ def _of_size(cause: Cause, model: Model, record: Record, says: str) -> _Said:
             step,
         )
     offset = cause.offset if abs(cause.offset) > SLIGHT * abs(size) else 0.0
-    remedy = line_taken_off(name, time, offset, size)
+    start, *_, end = np.asarray(record.elapsed)
+    slope = size / (end - start)
+    zero = offset - slope * 0.5 * (start + end)
+    remedy = (
+        *option_for("--zero", (name,), f"{zero:.6g}"),
+        *option_for("--slope", (name,), f"{slope:.6g}"),
+    )
     return _Said(
         "drifting_signal",
         f"what the model leaves grows evenly with time, as if {name} drifted by {amount} along the "

@@ -5,6 +5,7 @@ from .faults.spikes import repair_outliers as repair_outliers
 from .linear_op import LinearOp as LinearOp
 from .noise_judgement import GivenNoise as GivenNoise
 from .noise_judgement import judged as judged
+from .preparation.filtering import remove_line as remove_line
 from .preparation.filtering import unfilter as unfilter
 from .preparation.filtering import with_local_derivative as with_local_derivative
 from .preparation.resampling import set_clocks as set_clocks

@@ -102,8 +102,8 @@ class Prepare(Settings):
     """What is done to a record as read, in this order.
 
     `align` depends on what is found in the record; see [`align`][riecjax.doubts.align],
-    [`leave_out`][riecjax.records.leave_out], [`set_clocks`][riecjax.records.set_clocks] and
-    [`unfilter`][riecjax.records.unfilter].
+    [`leave_out`][riecjax.records.leave_out], [`set_clocks`][riecjax.records.set_clocks],
+    [`unfilter`][riecjax.records.unfilter] and [`remove_line`][riecjax.records.remove_line].
     """
 
     error: ClassVar = DataError
@@ -120,6 +120,10 @@ class Prepare(Settings):
     """Set the clock of a signal that falls behind by so many millionths of the time."""
     lags: Mapping[str, float] = named("--unfilter SIGNAL=SECONDS", FINITE, combine=add)
     """Undo a first-order low-pass with this time constant in front of a signal."""
+    zeros: Mapping[str, float] = named("--zero SIGNAL=VALUE", FINITE, combine=add)
+    """Subtract what a signal reads at zero."""
+    slopes: Mapping[str, float] = named("--slope SIGNAL=PER_SECOND", FINITE, combine=add)
+    """Subtract what a signal drifts by, counted from the recording's first sample."""
     align: str | Sequence[str] = many(
         "--align auto|none|SIGNAL", TEXT, "auto", default_in_words="auto", alone=("auto", "none")
     )

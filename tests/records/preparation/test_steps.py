@@ -7,7 +7,7 @@ from tests.doubts.test_alignment import motion
 import riecjax as rx
 from riecjax.records.faults.signals import leave_out
 from riecjax.records.faults.spikes import repair_outliers
-from riecjax.records.preparation.filtering import unfilter, with_local_derivative
+from riecjax.records.preparation.filtering import remove_line, unfilter, with_local_derivative
 from riecjax.records.preparation.resampling import set_clocks, shift, upsample
 
 STEP, COUNT = 0.005, 4000
@@ -17,6 +17,11 @@ TAU, PPM = 0.004, 500.0
 STEPS = {
     "low_pass": (lambda r: rx.low_pass(r, {"q": 20.0}), 50, motion),
     "unfilter": (lambda r: unfilter(r, {"q": TAU}), 3, lambda t: motion(t) + TAU * motion(t, 1)),
+    "remove_line": (
+        lambda r: remove_line(r, {"q": 0.3}, {"q": 0.01}),
+        0,
+        lambda t: motion(t) - 0.3 - 0.01 * t,
+    ),
     "shift": (lambda r: shift(r, {"q": 0.37 * STEP}), 44, lambda t: motion(t + 0.37 * STEP)),
     "shift back": (lambda r: shift(r, {"q": -2 * STEP}), 2, lambda t: motion(t - 2 * STEP)),
     "set_clocks": (lambda r: set_clocks(r, {"q": PPM}), 50, lambda t: motion(t + 1e-6 * PPM * t)),

@@ -104,6 +104,28 @@ def lead(record: Record, seconds: float) -> LinearOp:
 
 
 @step
+def remove_line(
+    record: Record, zeros: Mapping[str, float], slopes: Mapping[str, float]
+) -> Operations:
+    """Subtract a sensor's zero, and what it drifts by from the recording's first sample on.
+
+    Unlike a mean or the straight line of the samples, which are the machine's as well as far as it
+    does not come back to where it began.
+
+    **Arguments:** `zeros`: signal name to a value in its unit; `slopes`: the same per second.
+
+    **Raises:** `DataError` for a signal that the record lacks.
+    """
+    elapsed = np.asarray(record.elapsed)
+    for name in dict.fromkeys((*zeros, *slopes)):
+        zero, slope = zeros.get(name, 0.0), slopes.get(name, 0.0)
+        drift = f" and {slope:.6g} per second" if slope else ""
+        words = f"{{}}: {zero:.6g}{drift} subtracted"
+        values = record.signal(name).with_nan - (zero + slope * elapsed)
+        yield name, LinearOp.of_values(words, values)
+
+
+@step
 def remove_offset(record: Record, *signals: str) -> Operations:
     """Subtract from each of these signals its mean over the samples that are not missing.
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.derived import derived
 from riecjax.records.faults.hum import notch
 from riecjax.records.faults.signals import leave_out
 from riecjax.records.linear_op import Step, words_of
@@ -18,12 +17,12 @@ from riecjax.records.preparation.filtering import (
     local_slope,
     low_pass,
     remove_drift,
+    remove_line,
     remove_offset,
     unfilter,
 )
 from riecjax.records.preparation.resampling import set_clocks, shift, upsample
 from riecjax.records.record import Record
-from riecjax.records.signal import Signal
 from riecjax.records.time_base import STEP_TOLERANCE
 from riecjax.settings import Prepare, Read
 
@@ -74,6 +73,7 @@ def prepare(
         (shift, (p.shifts,)),
         (set_clocks, (p.clocks,)),
         (unfilter, (p.lags,)),
+        (remove_line, (p.zeros, p.slopes)),
         *((remove_offset, (name,)) for name in p.offsets),
         *((remove_drift, (name,)) for name in p.drifts),
         *((notch, (hertz,)) for hertz in p.notches),
@@ -82,7 +82,7 @@ def prepare(
         *((differentiate, (signal, name)) for name, signal in p.derivatives.items()),
     ]
     for step, asked in steps:
-        if asked == ({},):  # of no signal
+        if not any(asked):  # of no signal
             continue
         ops = dict(step.ops(record, *asked))
         record = record.through(ops)
@@ -115,12 +115,8 @@ def undone(record: Record, remedies: Iterable[tuple[str, ...]]) -> Record:
     given = {
         name: option.parsed(*said[option.flag]) for name, option in options if option.flag in said
     }
-    factors, formulas = given.pop("scale", {}), given.pop("derive", {})
+    factors = given.pop("scale", {})
     record = record.with_signals({n: by * record.signal(n) for n, by in factors.items()})
-    columns = {n: s.with_nan for n, s in record.by_name.items()} | {"t": np.asarray(record.time)}
-    for name, formula in formulas.items():
-        unit = record.signal(name).unit
-        record = record.with_signals({name: Signal.of(derived(formula, columns), unit)})
     return prepare(record, {}, Prepare(**given))[0]
 
 

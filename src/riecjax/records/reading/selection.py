@@ -27,6 +27,7 @@ from riecjax.records.reading.units import (
     unit_behind,
 )
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 from riecjax.records.time_base import StampError
 from riecjax.settings import Read, Select
 
@@ -180,7 +181,7 @@ def record_from_channels(
                 known = ~np.isnan(time_of)
                 measured[name] = time_of[known], values[name][known]
             axis, values = on_grid(measured, rate, matter)
-        clock = {} if axis is None else {"t": axis}
+        clock, measured_values = {} if axis is None else {"t": axis}, values.copy()
         for name, formula in formulas.items():
             values[name] = derived(formula, clock | values)
         values = {name: array for name, array in values.items() if name not in by_products}
@@ -194,9 +195,12 @@ def record_from_channels(
         # What its samples tell of its noise, and of the signals of formulas by their columns, where
         # nothing else says it.
         formulas = {k: f for k, f in formulas.items() if k not in record.noise.kernels}
-        names = [name for name in record.arrays if name not in formulas]
-        noise = judged(record.select(*names)).noise if names else record.noise
-        columns = clock | values
+        columns = values | measured_values
+        replaced = {k: Signal.of(columns[k]) for k in formulas if k in measured_values}
+        sampled = record.with_signals({k: s for k, s in replaced.items() if k in record.arrays})
+        names = [name for name in record.arrays if name not in formulas or name in replaced]
+        noise = judged(sampled.select(*names)).noise if names else record.noise
+        columns |= clock
         for name, formula in formulas.items():
             levels = {n: float(noise.std(n)) for n in columns if n in noise.kernels}
             noise = noise.combined(name, sensitivities(formula, columns, levels))
