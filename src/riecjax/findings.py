@@ -7,12 +7,17 @@ own registers its codes by `CODES["rattle"] = FindingClass("sensors", "{signals}
 """
 
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple, get_args
 
 Kind = Literal["undetermined", "sensors", "model", "noise", "data", "computation", "reproduction"]
 KINDS: tuple[Kind, ...] = ("undetermined", "sensors", "model", "noise", "data", "computation")
 """Kinds of causes in a verdict. What a user says of a parameter is held against it as a sensor."""
+
+
+def joined(names: Sequence[str]) -> str:
+    """Names, the last of several behind an "and"."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 class FindingClass(NamedTuple):
@@ -57,7 +62,7 @@ class FindingClass(NamedTuple):
 
     def said(self, signals: tuple[str, ...] = (), parameters: tuple[str, ...] = ()) -> str:
         """The phrase, of these signals and parameters."""
-        listed = " and ".join(signals) or "a signal"
+        listed = joined(signals) or "a signal"
         return self.phrase.format(
             signals=listed,
             one_of=f"one of {listed}" if len(signals) > 1 else listed,
@@ -134,7 +139,7 @@ CODES: dict[str, FindingClass] = {
         "(--scale)",
     ),
     "unit_mismatch": _sensors("{signals} has another unit than the model expects"),
-    "not_its_derivative": _sensors("{signals} do not fit each other", disorder=True),
+    "not_its_derivative": _sensors("{signals} do not fit each other", disorder=True, feigned=True),
     "at_rest": _sensors("{signals} rests where friction jumps"),
     "copied_signal": _sensors("{signals} are one signal", explains_refusal=True),
     "duplicate_recording": _sensors("a recording was given twice"),

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import riecjax as rx
 from riecjax.doubts import align
 from riecjax.errors import DataError
 from riecjax.records.preparation.resampling import set_clocks
@@ -77,3 +78,13 @@ def test_a_wrong_sign_is_no_delay():
     late = recorded()
     turned = late.with_signals({"dq": -late["dq"]})
     assert align(turned, [("q", "dq")]).record is turned
+
+
+def test_an_equation_says_which_signals_belong_together_when_a_file_is_read(tmp_path):
+    record, file = recorded(0.01, dq=2.0), tmp_path / "axis.csv"
+    table = np.stack([TIME, record["q"], record["dq"]], axis=1)
+    np.savetxt(file, table, delimiter=",", header="t,q,dq", comments="")
+    axis = rx.Equation(rx.Term("k", "q", measured=("dq",)), -rx.Term(1.0, "dq"))
+    for model in (axis, rx.staged(axis)):
+        (words,) = rx.read_recording(file, model=model).steps
+        assert words.startswith("dq: advanced by 0.0")

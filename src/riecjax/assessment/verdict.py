@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 from riecjax.assessment.doubt import TRUSTED, Doubt, Evidence, doubts
 from riecjax.criteria.test_functions import AbstractSmoothTestFunction
 from riecjax.equations.expressions import constant
-from riecjax.findings import CODES, KINDS, Finding
+from riecjax.findings import CODES, KINDS, Finding, joined
 from riecjax.shows import Shown
 from riecjax.validation.sweep import MOST
 
@@ -266,7 +266,9 @@ def _steps(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Step]:
     by = {finding.code: finding for finding in reversed(findings)}
     residuals, criterion = evidence.equation_residuals, evidence.estimate.criterion
     smooth = isinstance(getattr(criterion, "test_function", None), AbstractSmoothTestFunction)
-    if "unmodelled_mode" in by:
+    # What signals leave that contradict each other may be no mode: they are put right first.
+    disordered = any(f.about.disorder and f.remedy for f in evidence.findings())
+    if "unmodelled_mode" in by and not disordered:
         peaked = [e for e in residuals if e.peak is not None and e.bodies]
         equation = max(peaked, key=lambda e: e.peak.size if e.peak else 0.0, default=None)
         if equation is not None and not equation.carrying:
@@ -279,8 +281,10 @@ def _steps(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Step]:
             added = f"model.with_series_springs(rx.SeriesSpring('{equation.maps[0]}'))"
             words = f"Add a spring in series with a damper, in Python: {added}, then rx.refine"
             yield Step(words)
-    if "not_its_derivative" in by and not smooth:
-        signal, derivative = by["not_its_derivative"].signals
+    # Of two that do not move alike; where one is off in size, the position may be the wrong one.
+    unlike = by.get("not_its_derivative")
+    if unlike is not None and not (unlike.step or smooth or len(unlike.signals) > 2):
+        signal, derivative = unlike.signals
         yield Step(f"Identify from {signal} alone, without {derivative}", SMOOTH)
     if "uneven_errors" in by:
         # The zero of an input's sensor, where its equation has no constant term yet.
@@ -315,8 +319,3 @@ def _steps(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Step]:
         yield Step("Leave out the hidden mode or spring (drop --add-mode, --add-spring)")
     elif collinear:
         yield Step("Excite the machine more richly, or hold a parameter (--set NAME=VALUE)")
-
-
-def joined(names: Sequence[str]) -> str:
-    """Names, the last of several behind an "and"."""
-    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

@@ -436,7 +436,9 @@ def _not_its_derivative(record: Record, relation: Relation, size: float) -> Find
         (signal, derivative),
         doubt=min(max(size**2, size**-2) - 1, 1.0),
         remedy=remedy,
-        step="Convert " + " from ".join(units[0].split("=")) if remedy else "",
+        step="Convert " + " from ".join(units[0].split("="))
+        if remedy
+        else f"Scale {derivative} or {signal}, whichever sensor is off",
     )
 
 

@@ -1,11 +1,14 @@
 """Files as recordings, whose signals a model's kinematics brings to one time."""
 
+import dataclasses
 import itertools
 import os
 from collections.abc import Sequence
 
 from riecjax.doubts.delays import SMALLEST
 from riecjax.doubts.kinematics import GROSS, UNRELATED, Compared, compare, findings_of
+from riecjax.equations.equation import Equation
+from riecjax.equations.model import as_model
 from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.faults.signals import holding
@@ -106,7 +109,7 @@ def read_record(path: str | os.PathLike[str], settings: Reading) -> Record:
 
     With the same keywords and errors, but only the signals.
     """
-    return only_recording(path, settings, align).record
+    return only_recording(path, _of_model(settings), align).record
 
 
 @taking(Reading)
@@ -119,7 +122,7 @@ def read_recording(path: str | os.PathLike[str], settings: Reading) -> Recording
     Without `rename` every column as long as the time is a signal. [`read_channels`][] lists what a
     file holds, and the readers of the formats say how columns are named in files that hold more.
 
-    **Arguments:** `model`, a `Model`, whose units the signals get, and which says which signals are
+    **Arguments:** `model`, or an equation, whose units the signals get, and which says which are
     derivatives of others, to be formed if the file lacks them; and the keywords of
     [`Select`][riecjax.settings.Select], [`Read`][riecjax.settings.Read] and
     [`Prepare`][riecjax.settings.Prepare].
@@ -129,7 +132,7 @@ def read_recording(path: str | os.PathLike[str], settings: Reading) -> Recording
     [`Record.from_samples`][]), or a step is not possible; `ModelError` for a formula that is not
     understood.
     """
-    return only_recording(path, settings, align)
+    return only_recording(path, _of_model(settings), align)
 
 
 @taking(Reading)
@@ -145,4 +148,10 @@ def read_recordings(path: str | os.PathLike[str], settings: Reading) -> list[Rec
     **Arguments** and errors as of [`read_recording`][]; of errors of parts, the first is raised
     where none can be read.
     """
-    return every_recording(path, settings, align)
+    return every_recording(path, _of_model(settings), align)
+
+
+def _of_model(settings: Reading) -> Reading:
+    """With the model of an equation."""
+    is_one = isinstance(settings.model, Equation)
+    return dataclasses.replace(settings, model=as_model(settings.model)) if is_one else settings

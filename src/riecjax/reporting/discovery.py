@@ -10,10 +10,9 @@ import numpy as np
 from msgspec import UNSET
 from rich.console import Console
 
-from riecjax.assessment.verdict import joined
 from riecjax.discovery import Discovery, Step
 from riecjax.equations.hidden_elements import HiddenMode, accelerated
-from riecjax.findings import option_for
+from riecjax.findings import joined, option_for
 from riecjax.leaves import finite
 from riecjax.reporting import Page, Section, Table, View, in_rich, print_table, say
 from riecjax.reporting.answer import Answer, part_of
