@@ -84,14 +84,14 @@ def unfilter(record: Record, lags: Mapping[str, float]) -> Operations:
 
     **Arguments:** `lags`: signal name to the filter's time constant tau in seconds.
 
-    **Raises:** `DataError` for a time constant that is not positive, a signal that the record
-    lacks, or stretches of fewer than seven samples.
+    **Raises:** `DataError` for a time constant that is not positive or longer than the record, a
+    signal that it lacks, or stretches of fewer than seven samples.
     """
     for name, seconds in lags.items():
-        if not 0 < seconds < np.inf:
+        if not 0 < seconds < float(record.duration):
             raise DataError(
-                f"the time constant of the low-pass before '{name}' must be positive; got "
-                f"{seconds:g} s."
+                f"the time constant of the low-pass before '{name}' must be positive, in seconds, "
+                f"and shorter than the record, {float(record.duration):.4g} s; got {seconds:g} s."
             )
         yield name, lead(record, seconds)
 
