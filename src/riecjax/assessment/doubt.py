@@ -315,7 +315,7 @@ def causes_found(
     if silent:
         return silent
     if any(
-        (finding.about.disorder or finding.about.holds)
+        (finding.about.disorder or finding.about.holds or finding.about.undo)
         and max(finding.doubts.values(), default=finding.doubt) > SPOILT
         for finding in checked.findings
     ):
