@@ -266,9 +266,9 @@ def _steps(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Step]:
     by = {finding.code: finding for finding in reversed(findings)}
     residuals, criterion = evidence.equation_residuals, evidence.estimate.criterion
     smooth = isinstance(getattr(criterion, "test_function", None), AbstractSmoothTestFunction)
-    # What signals leave that contradict each other may be no mode: they are put right first.
-    disordered = any(f.about.disorder and f.remedy for f in evidence.findings())
-    if "unmodelled_mode" in by and not disordered:
+    # What a faulty sensor leaves may be no mode: it is put right first.
+    is_faulty = any(f.about.undo and f.remedy for f in evidence.findings())
+    if "unmodelled_mode" in by and not is_faulty:
         peaked = [e for e in residuals if e.peak is not None and e.bodies]
         equation = max(peaked, key=lambda e: e.peak.size if e.peak else 0.0, default=None)
         if equation is not None and not equation.carrying:
