@@ -20,14 +20,12 @@ from riecjax.errors import ModelError
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf, PlainMethods
+from riecjax.leaves import Leaf, PlainMethods, in_percent
 from riecjax.linear_algebra import gram_condition_limit
 from riecjax.shows import Tabled, save
 from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.intervals import Uncertainty
 
-LOST_SHARE = 0.05
-"""Share of the bootstrap's replicates that may leave a parameter undetermined."""
 NOTABLE_INFLATION = 1.1
 """Factor on a standard error from which recordings are said to disagree."""
 NOTABLE_LEAN = 3.0
@@ -443,8 +441,8 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
             if (share := float(equation.relative_rms)) > LARGE_RESIDUAL:
                 yield Finding(
                     "large_residual",
-                    f"{name}: the model leaves {100 * share:.0f} % of the signal unexplained, so "
-                    f"it is wrong in some important way.",
+                    f"{name}: the model leaves {in_percent(share, '.0f')} of the signal "
+                    f"unexplained, so it is wrong in some important way.",
                     parameters=equation.parameters,
                 )
         # Equations without a known term that move their coefficients by more than chance.
@@ -456,7 +454,7 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
                 yield Finding(
                     "no_known_term",
                     f"{name}: no term of it is known, so that its residual pulls "
-                    f"{', '.join(equation.parameters)} towards zero, by about {100 * share:.2g} %. "
+                    f"{', '.join(equation.parameters)} towards zero, by about {in_percent(share)}. "
                     f"Solve it after the equations that set their scale (riecjax.staged); where "
                     f"those do not determine them, hold one at a known value (on the command "
                     f"line: --set NAME=VALUE).",
@@ -485,7 +483,7 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
                 f"length, and those from {low:.4g} to {high:.4g} s were taken. Summarise anew with "
                 f"these as alpha and beta for exactly that band.",
             )
-        yield from (*self._rarely_excited(), *self._precision())
+        yield from self._precision()
 
     def _without_answer(self) -> Iterator[Finding]:
         """What `identify` refuses where it can look at values; of a batch it is found here."""
@@ -515,7 +513,7 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
             if lost > ROUNDING[stage.count.dtype]:
                 yield Finding(
                     "rows_left_out",
-                    f"{label}: {100 * lost:.2g} % of the windows (or samples) touch a missing or "
+                    f"{label}: {in_percent(lost)} of the windows (or samples) touch a missing or "
                     f"masked sample and are left out.",
                 )
         if int(self.block_count) < FEWEST_BLOCKS:
@@ -579,7 +577,7 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
                 parameters=tuple(silent),
             )
         yield from (*self._negative_values(), *self._few_blocks())
-        yield from (*self._rarely_excited(), *self._disagreement())
+        yield from self._disagreement()
 
     def _constrained(self) -> Iterator[Finding]:
         """Parameters that bounds or priors tell, and not data."""
@@ -652,24 +650,6 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
             "record for longer.",
         )
 
-    def _rarely_excited(self) -> list[Finding]:
-        """Parameters that many of the bootstrap's replicates leave undetermined."""
-        replicates = self.uncertainty.studentized
-        if replicates is None:
-            return []
-        lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=0)
-        lost = np.where(self.uncertainty.few_blocks | np.asarray(self.at_bound), 0.0, lost)
-        return finding(
-            "rarely_excited",
-            self.parameters,
-            lost > LOST_SHARE,
-            100 * lost,
-            "so few stretches of the record tell of {} that so large a share of the bootstrap's "
-            "replicates held none of them: their intervals are rough. Record for longer, or excite "
-            "them more often.",
-            " %",
-        )
-
     def _disagreement(self) -> list[Finding]:
         """Parameters on which recordings disagree by more than chance."""
         return each_finding(
@@ -707,12 +687,11 @@ def finding(
     which: ArrayLike,
     numbers: ArrayLike,
     message: str,
-    unit: str = "",
 ) -> list[Finding]:
     """One on some parameters, if there are any, that lists each with its number."""
     chosen = np.flatnonzero(which).tolist()
     values = np.asarray(numbers)[chosen]
-    listed = ", ".join(f"{names[i]} ({value:.2g}{unit})" for i, value in zip(chosen, values))
+    listed = ", ".join(f"{names[i]} ({value:.2g})" for i, value in zip(chosen, values))
     message = message.format(listed)
     return [Finding(code, message, parameters=tuple(names[i] for i in chosen))] if chosen else []
 

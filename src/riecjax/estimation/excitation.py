@@ -11,7 +11,7 @@ from riecjax.estimation.estimate import Estimate, combination, weighing
 from riecjax.estimation.parameters import Parameter, ParameterTable
 from riecjax.estimation.stages import largest_share, stages_over_records
 from riecjax.findings import CODES, Finding
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, in_percent
 from riecjax.linear_algebra import symmetric_eigen, unit_diagonal
 from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summary import Summary
@@ -176,12 +176,13 @@ class Excitation(NamedTuple):
         if share < UNIDENTIFIABLE:
             code, why, signals = "unidentifiable", "the record cannot tell these apart", ()
         elif noise > drowned:
-            code, why = "unidentifiable", f"what tells these apart is {100 * noise:.0f} % {whose}"
+            code = "unidentifiable"
+            why = f"what tells these apart is {in_percent(noise, '.0f')} {whose}"
         elif noise > DOMINATES:
             code = "noise_dominates"
             why = (
-                f"{100 * noise:.0f} % of what tells these apart is {whose}, so that they rest on "
-                f"how well that is known"
+                f"{in_percent(noise, '.0f')} of what tells these apart is {whose}, so that they "
+                f"rest on how well that is known"
             )
             remedy = (
                 f"Take longer windows (--beta), refine by output error (--refine output-error), or "
@@ -190,7 +191,7 @@ class Excitation(NamedTuple):
         elif share < NEARLY_COLLINEAR:
             code, signals = "nearly_collinear", ()
             why = (
-                f"only {100 * share:.2g} % of the regressors tells these apart, so a small error "
+                f"only {in_percent(share)} of the regressors tells these apart, so a small error "
                 f"of a sensor moves them far"
             )
         else:
