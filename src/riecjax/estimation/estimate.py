@@ -42,8 +42,8 @@ FEWEST_BLOCKS = 7
 come out as no more."""
 FEWEST_WINDOWS = 10
 """Independent windows below which an interval is rough."""
-ROUNDING = {np.dtype(np.float64): 1e-9, np.dtype(np.float32): 1e-6}
-"""Share of rows that may be missing only because their number was rounded, by precision."""
+LEVEL = 0.95
+"""Of intervals, by default."""
 MOSTLY = 0.5
 """Share of what is known of a parameter from which it rests on its prior."""
 MATTERING_SHARE = 0.02
@@ -344,7 +344,7 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
         """Standard error of one estimated parameter."""
         return self._of(self.standard_errors, name)
 
-    def interval(self, name: str, level: float = 0.95) -> tuple[Any, Any]:
+    def interval(self, name: str, level: float = LEVEL) -> tuple[Any, Any]:
         """Ends of the confidence interval (not under jit); see [`Uncertainty.reach`][].
 
         Floats, or of a batch arrays of its shape.
@@ -353,14 +353,14 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
         return self.interval_by_name(level)[name]
 
     def intervals(
-        self, level: float = 0.95
+        self, level: float = LEVEL
     ) -> tuple[Float[np.ndarray, "*batch p"], Float[np.ndarray, "*batch p"]]:
         """Lower and upper ends of the confidence intervals of all `parameters` (not under jit)."""
         below, above = self.uncertainty.reach(level)
         theta, errors = np.asarray(self.theta), np.asarray(self.standard_errors)
         return theta - below * errors, theta + above * errors
 
-    def interval_by_name(self, level: float = 0.95) -> dict[str, tuple[Any, Any]]:
+    def interval_by_name(self, level: float = LEVEL) -> dict[str, tuple[Any, Any]]:
         """As `interval`, of every parameter: quantiles of replicates are formed once."""
         ends = zip(*(np.moveaxis(end, -1, 0) for end in self.intervals(level)))
         if self.batch_shape:
@@ -510,7 +510,8 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
     def _coverage(self) -> Iterator[Finding]:
         for label, stage, offered in zip(self.stage_names, self.stages, self.rows_offered):
             lost = 1 - float(stage.count) / float(offered)
-            if lost > ROUNDING[stage.count.dtype]:
+            # Less may be missing only because the number of rows was rounded.
+            if lost > np.finfo(stage.count.dtype).eps ** 0.5:
                 yield Finding(
                     "rows_left_out",
                     f"{label}: {in_percent(lost)} of the windows (or samples) touch a missing or "

@@ -8,7 +8,6 @@ all recordings, with zeros for what the recording does not hold, and then add up
 Names are for readers: they are written here, and what a parameter is stands in its row.
 """
 
-import dataclasses
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -143,10 +142,6 @@ class ParameterTable(PlainMethods, eqx.Module):
         unknown = [name for name in names if not {*self.everywhere([name])} <= every]
         refuse_unknown(unknown, self.names)
 
-    def holding(self, known: Mapping[str, Any]) -> "ParameterTable":
-        """The table with these values known, and no others."""
-        return dataclasses.replace(self, known=dict(known))
-
     def settled(self, values: Mapping[str, Any]) -> "ParameterTable":
         """The table with these values known as well, which no stage finds."""
         stages = tuple(
@@ -241,7 +236,7 @@ def plan_parameters(
         name: np.asarray(value, float) if is_concrete(value) else value
         for name, value in held.items()
     }
-    settled = {row.local for row in table.rows} - {*table.holding(held).free_somewhere}
+    settled = {row.local for row in table.rows} - {*table.settled(held).free_somewhere}
     # A stage finds what no recording has been given, and no earlier stage has found.
     stages = tuple(
         (label, tuple(name for name in table.everywhere(names) if name not in held))

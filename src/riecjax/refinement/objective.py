@@ -338,7 +338,7 @@ class AbstractObjective(eqx.Module):
             )
         dtype = records[0].time_step.dtype
         numbers = {name: xp.asarray(values[name], dtype) for name in table.names}
-        table = table.holding({n: v for n, v in numbers.items() if n not in begun or n in fixed})
+        table = table.settled({n: v for n, v in numbers.items() if n not in begun or n in fixed})
         if not table.free:
             raise ModelError("every parameter is known; nothing is left to refine.")
         free = [numbers[name] for name in table.free]

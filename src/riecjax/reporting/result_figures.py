@@ -348,7 +348,7 @@ def spectra_figure(tests: ResidualTests) -> Chart:
 
 
 def _share(residual: EquationResidual) -> str:
-    return f"{in_percent(residual.relative_rms, '.3g')} of the target"
+    return f"{in_percent(residual.error.relative_rms, '.3g')} of the target"
 
 
 def residual_figure(residual: EquationResidual) -> Chart:
@@ -365,11 +365,11 @@ def residual_figure(residual: EquationResidual) -> Chart:
             Line(times[shown], np.asarray(error.error)[shown], "error", RUST, width=THIN),
         ],
         Axis("time / s"),
-        Axis(labelled("target and error", residual.unit)),
+        Axis(labelled("target and error", residual.error.unit)),
         title=f"{residual.name}: error {_share(residual)}",
     )
     whole = np.where(np.asarray(error.present), np.asarray(error.impulse), np.nan)
-    unit = f"{residual.unit} s" if residual.unit else ""
+    unit = f"{residual.error.unit} s" if residual.error.unit else ""
     impulse = Panel(
         [Level(0), Line(times, whole, color=RUST, width=THIN)],
         Axis("time / s"),
@@ -414,7 +414,7 @@ def _following(follows: tuple[Correlation, ...]) -> Panel | None:
 
 def _spectra(residual: EquationResidual) -> Panel:
     spectrum, peak = residual.spectrum, residual.peak
-    (target, error), axes = _target_and_error(spectrum, residual.unit)
+    (target, error), axes = _target_and_error(spectrum, residual.error.unit)
     explained = Line(target.x, _positive(spectrum.explained), "explained", BLUE, "dashed")
     ends = Level(spectrum.band, "x", "the signals' power ends", BLACK, "dotted")
     marks: list[Line | Span | Level] = [ends, target, explained, error]

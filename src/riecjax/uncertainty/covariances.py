@@ -316,6 +316,8 @@ def block_influence(
 
 LEVEL = 0.01
 """Level of the test of whether recordings disagree."""
+TAIL = 0.025
+"""Probability beyond either end of an interval, by which tails are compared."""
 
 
 def jackknife_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
@@ -427,7 +429,7 @@ def record_inflation(
     between = count / (count - 1) * xp.sum(moved**2, axis=0)
     pooled = xp.sum(influence**2, axis=(0, 1))
     known = pooled > 0
-    student = float(tails.student(0.025, count - 1)) / tails.normal(0.025)
+    student = float(tails.student(TAIL, count - 1)) / tails.normal(TAIL)
     factor = student * xp.sqrt(between / xp.where(known, pooled, 1.0))
     return xp.where(disagree & known, xp.maximum(factor, 1.0), 1.0)
 

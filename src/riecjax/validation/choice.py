@@ -29,12 +29,11 @@ from riecjax.findings import Finding
 from riecjax.records.record import Records, as_records
 from riecjax.validation.equation_errors import EquationError, errors_over_records, joined
 from riecjax.validation.residuals import ErrorSpectrum, error_spectrum
+from riecjax.validation.sweep import FEWEST_SAMPLES
 
 PARTS = 8
 """A segment of the spectra is this part of the records: long, for the sake of long windows."""
 LENGTHS = 80
-FEWEST_SAMPLES = 4
-"""Samples of the shortest window."""
 WITHIN = 1.5
 """Factor above its least to which the error's share may rise in the recommended range."""
 NEGLIGIBLE = 0.01

@@ -537,9 +537,7 @@ class EquationResidual(NamedTuple):
 
     **Fields:**
 
-    - `name` and `unit` of the equation; `relative_rms`: its error, sample by sample, relative to
-      its target.
-    - `error`: over all records, see `joined`.
+    - `name` of the equation, unlike that of others; its `error` over all records, see `joined`.
     - `autocorrelation` of the error.
     - `follows`: correlation with each signal that all records hold, strongest first. Error and
       signals are averaged over half a period of the fastest motion in the model's band, or half
@@ -558,8 +556,6 @@ class EquationResidual(NamedTuple):
     """
 
     name: str
-    unit: str
-    relative_rms: float
     error: EquationError
     autocorrelation: Correlation
     follows: tuple[Correlation, ...]
@@ -681,7 +677,7 @@ class EquationResidual(NamedTuple):
         """Numbers of the tests, without the series, as plain data for JSON."""
         windows = self.windows
         return {
-            "relative_rms": self.relative_rms,
+            "relative_rms": float(self.error.relative_rms),
             "correlation_time_s": self.autocorrelation.correlation_time,
             "integrated_autocorrelation_s": self.autocorrelation.integrated,
             "follows": [
@@ -807,8 +803,6 @@ def residual_tests(
         free = {name: t for name, t in elements.items() if not sprung & {*t.parameters}}
         residual = EquationResidual(
             name,
-            error.unit,
-            float(error.relative_rms),
             error,
             autocorrelation(error.series, lags, step),
             tuple(sorted(follows, key=lambda one: -abs(one.largest))),

@@ -34,6 +34,7 @@ from riecjax.summaries.normal_equations import (
 from riecjax.summaries.summarise import ready, summed, task
 from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.covariances import block_influence
+from riecjax.validation.residuals import LEVEL
 
 # How estimates at two lengths are compared. Near the solution an estimate is a sum over blocks of
 # time, theta = theta_0 + sum_b d_b with the influence d_b = G^-1 A_b' e_b of each block (G the Gram
@@ -47,7 +48,6 @@ from riecjax.uncertainty.covariances import block_influence
 
 SMALLEST_DRIFT = 0.005
 """Share of a parameter below which a drift does not matter."""
-LEVEL = 0.05
 STEADY = 0.01
 """Share within which estimates at neighbouring lengths are called steady."""
 MOST = 0.5
@@ -236,7 +236,7 @@ class WindowSweep(Drawn, eqx.Module):
 
 
 FEWEST_SAMPLES = 4
-"""Samples that the shortest window of a sweep spans at least."""
+"""Samples that the shortest window spans at least."""
 FEWEST_STRETCHES = 10
 """Longest windows that the records hold at least, end to end."""
 SHARE_OF_BLOCKS = 0.5
