@@ -211,12 +211,10 @@ def _solve(
     of each stage of the model, those that find nothing included, the totals to refuse it by."""
     equations = [[borne_out(equation) for equation in stage] for stage in summary.equations()]
     known, short = table.known, summary.short_blocks
-    longest_window = xp.asarray(summary.criterion.block_length)
     stages, shared = stages_over_records(equations, table)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
     flat = [stage.flattened() for stage in stages]
-    weighing = constraints, short, longest_window
-    solutions, values = solve_stages(flat, known, rows, apart, *weighing)
+    solutions, values = solve_stages(flat, known, rows, apart, constraints, short)
     totals = [stage.total() for stage in flat]
     for solution in solutions:
         place = solution.stage
@@ -224,7 +222,7 @@ def _solve(
     # What belongs to one recording cannot differ between recordings.
     common = np.array([table[n].recording is None for s in solutions for n in s.parameters])
     uncertainty, inflation, statistics = estimate_uncertainty(
-        stages, known, values, short, longest_window, common, intervals
+        stages, known, values, short, common, intervals
     )
     uncertainty = uncertainty.widened(level_covariance(statistics, summary.noise_freedom))
     theta, curvature, at_bound = (

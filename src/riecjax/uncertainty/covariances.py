@@ -51,9 +51,7 @@ SILENT = 5
 which is more for any n."""
 
 
-def block_length(
-    short: ShortBlocks, longest_window: Float[Array, ""], correlated: Float[Array, " p"]
-) -> Float[Array, ""]:
+def block_length(short: ShortBlocks, correlated: Float[Array, " p"]) -> Float[Array, ""]:
     """Seconds to a block: the rule that intervals rest on.
 
     The longest that Politis and White's rule finds for any parameter (`correlated`, see
@@ -61,9 +59,9 @@ def block_length(
     block's windows reaches into the next. Where the records would be fewer than twenty such blocks
     it is shortened to that, but never below twice the longest window.
     """
-    wanted = xp.maximum(LONGEST_WINDOWS * longest_window, xp.max(correlated))
+    wanted = xp.maximum(LONGEST_WINDOWS * short.longest_window, xp.max(correlated))
     room = xp.sum(short.durations) / ENOUGH_BLOCKS
-    shortest = xp.maximum(FEWEST_WINDOWS * longest_window, xp.min(short.seconds))
+    shortest = xp.maximum(FEWEST_WINDOWS * short.longest_window, xp.min(short.seconds))
     return xp.maximum(xp.minimum(wanted, room), shortest)
 
 
@@ -220,7 +218,6 @@ def block_statistics(
     known: Mapping[str, Array],
     values: Mapping[str, Array],
     short: ShortBlocks,
-    longest_window: Float[Array, ""],
     ridge: float = 0.0,
 ) -> BlockStatistics:
     """Statistics of blocks whose length is chosen from the short blocks' influence.
@@ -231,7 +228,7 @@ def block_statistics(
     unknowns = unknowns_of(stages, known)
     scored, slopes = scores(stages, unknowns, values), slope(stages, unknowns)
     influence = influence_of(scored, slopes.sum((0, 1)), ridge)
-    length = block_length(short, longest_window, politis_white(influence, short))
+    length = block_length(short, politis_white(influence, short))
     used = blocks_in_use(short, length)
     named = dict(values)
     return BlockStatistics(

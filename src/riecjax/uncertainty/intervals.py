@@ -277,7 +277,6 @@ def estimate_uncertainty(
     known: Mapping[str, Array],
     values: Mapping[str, Array],
     short: ShortBlocks,
-    longest_window: Float[Array, ""],
     shared: Bool[np.ndarray, " p"],
     intervals: AbstractIntervals,
 ) -> tuple[Uncertainty, Float[Array, " p"], BlockStatistics]:
@@ -289,7 +288,7 @@ def estimate_uncertainty(
     **Returns:** the uncertainty, inflated where records disagree; by which factor on standard
     errors; and the block statistics that it rests on.
     """
-    statistics = block_statistics(stages, known, values, short, longest_window)
+    statistics = block_statistics(stages, known, values, short)
     per_record = statistics.influence.reshape(short.number.shape[0], -1, len(statistics.estimate))
     inflation = xp.where(shared, record_inflation(per_record, statistics.used), 1.0)
     uncertainty = intervals.uncertainty(statistics)
