@@ -202,7 +202,7 @@ class Refinement(NamedTuple):
         return {
             "chosen": self.chosen,
             "declined": self.declined or None,
-            "chi_squared": left and max(left.chi_squared.values(), default=None),
+            "chi_squared": left and max(each.chi_squared for each in left.channels.values()),
             "whiteness": left and left.entry(),
             "identified": parameter_entries(self.start),
             "refined": None if refined is None else parameter_entries(refined),

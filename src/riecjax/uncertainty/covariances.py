@@ -625,11 +625,7 @@ def drawn_counts(
     number, most = used[None, :, None], most_used(used)
     drawn, place = drawn[..., :most], np.arange(most)[None, None]
     block = xp.minimum((drawn * number.astype(drawn.dtype)).astype(np.int32), number - 1)
-    if not xp.are_traced((drawn, used)):
-        row = np.arange(block[..., 0].size).reshape(*block.shape[:-1], 1)
-        every = (row * most + block)[np.broadcast_to(place < number, block.shape)]
-        return np.bincount(every, minlength=block.size).reshape(block.shape)
-    # Eight bits hold them all, and four times as many are compared at once.
-    asked = xp.where(place < number, block, -1).astype(np.int8)
-    same = asked[..., None] == place.astype(np.int8)[..., None, :]
-    return same.sum(axis=-2, dtype=np.int8).astype(np.int32)
+    row = np.arange(block[..., 0].size).reshape(*block.shape[:-1], 1)
+    # Behind the counts stands one of draws that no block is left for.
+    every = xp.where(place < number, row * most + block, block.size)
+    return xp.with_added(np.zeros(block.size + 1, np.int32), every, 1)[:-1].reshape(block.shape)
