@@ -17,7 +17,13 @@ from riecjax.arrays import hosted
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.hidden_elements import SeriesSpring
 from riecjax.errors import ModelError
-from riecjax.estimation.parameters import ParameterTable
+from riecjax.estimation.parameters import (
+    ParameterTable,
+    combination,
+    excite_or_hold,
+    not_excited,
+    weighing,
+)
 from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, PlainMethods, in_percent
@@ -408,7 +414,7 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
         yield from self._of_windows() if self.search is None else self._of_search()
 
     def _of_windows(self) -> Iterator[Finding]:
-        if lost := list(self._without_answer()):
+        if lost := list(self.refusals()):
             yield from (*lost, *self._coverage(), *self._precision())
             return
         if float(self.condition_number) > gram_condition_limit(self.theta.dtype):
@@ -485,27 +491,31 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
             )
         yield from self._precision()
 
-    def _without_answer(self) -> Iterator[Finding]:
-        """What `identify` refuses where it can look at values; of a batch it is found here."""
+    def refusals(self) -> Iterator[Finding]:
+        """What leaves no answer: raised where values can be looked at, and of a batch found here.
+
+        Of windows: rows that are missing or not finite, and parameters that they do not tell apart.
+        """
         for label, stage in zip(self.stage_names, self.stages):
-            solution = stage.solution
-            if not stage.parameters:
-                continue
+            solution, names = stage.solution, stage.parameters
+            silent = np.flatnonzero(np.asarray(stage.relative_size) == 0)
             if not np.all(np.isfinite(solution.theta)):
-                which = "its terms or known values are not finite numbers"
+                why = "its terms or known values are not finite numbers."
             elif float(stage.count) == 0:
-                which = "no rows: every window touches a missing or masked sample"
-            elif int(solution.rank) < len(stage.parameters):
-                weakest = combination(stage.parameters, np.asarray(solution.weakest_direction))
-                which = f"the record cannot tell these apart: {weakest}"
-            else:
+                why = "no rows: every window touches a missing or masked sample."
+            elif int(solution.rank) == len(names):
                 continue
-            yield Finding(
-                "unidentifiable",
-                f"{label}: {which}. There is no answer: what stands for "
-                f"{', '.join(stage.parameters)} means nothing.",
-                parameters=stage.parameters,
-            )
+            elif silent.size:
+                yield not_excited(label, self.table[names[silent[0]]])
+                continue
+            else:
+                direction = np.asarray(solution.weakest_direction)
+                rows = [self.table[name] for name in weighing(names, direction)]
+                why = (
+                    f"the record cannot tell these apart: {combination(names, direction)}, in "
+                    f"units of each regressor's size. {excite_or_hold(rows)}"
+                )
+            yield Finding("unidentifiable", f"{label}: {why}", parameters=names)
 
     def _coverage(self) -> Iterator[Finding]:
         for label, stage, offered in zip(self.stage_names, self.stages, self.rows_offered):
@@ -718,22 +728,6 @@ def span(values: ArrayLike, form: str = ".3g") -> str:
     ends = (finite.min(), finite.max()) if finite.size else (numbers[0], numbers[0])
     low, high = (f"{end:{form}}" for end in ends)
     return low if low == high else f"{low} .. {high}"
-
-
-def weighing(names: Sequence[str], direction: Float[np.ndarray, " p"]) -> tuple[str, ...]:
-    """Parameters that weigh more than a tenth of the largest part of a direction."""
-    largest = np.max(np.abs(direction))
-    return tuple(n for c, n in zip(direction, names) if abs(c) > 0.1 * largest)
-
-
-def combination(names: tuple[str, ...], direction: Float[np.ndarray, " p"]) -> str:
-    """A direction over parameters as `0.71 F_1 - 0.71 F_2`, small parts left out."""
-    large = weighing(names, direction)
-    parts = [(c, n) for c, n in zip(direction, names) if n in large]
-    if parts and parts[0][0] < 0:
-        parts = [(-c, n) for c, n in parts]
-    words = [f"{'-' if c < 0 else '+'} {abs(c):.2f} {n}" for c, n in parts]
-    return " ".join(words).removeprefix("+ ")
 
 
 def intervals_entry(estimate: Estimate) -> dict[str, Any]:

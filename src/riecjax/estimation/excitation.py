@@ -7,8 +7,14 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax.errors import DataError, IdentifiabilityError
-from riecjax.estimation.estimate import Estimate, combination, weighing
-from riecjax.estimation.parameters import Parameter, ParameterTable
+from riecjax.estimation.parameters import (
+    Parameter,
+    ParameterTable,
+    combination,
+    excite_or_hold,
+    not_excited,
+    weighing,
+)
 from riecjax.estimation.stages import largest_share, stages_over_records
 from riecjax.findings import CODES, Finding
 from riecjax.leaves import Leaf, in_percent
@@ -54,62 +60,6 @@ def raise_if_refused(findings: Iterable[Finding]) -> None:
     """
     if refusal := refusal_by(findings):
         raise IdentifiabilityError(refusal.message, refusal.code)
-
-
-def not_excited(stage_name: str, row: Parameter) -> Finding:
-    """That a parameter's regressor is zero throughout."""
-    return Finding(
-        "not_excited",
-        f"{stage_name}: nothing in the record tells of {row.name}; its regressor is zero "
-        f"throughout. {excite_or_hold([row], row.name)}",
-        parameters=(row.name,),
-    )
-
-
-def raise_if_unidentifiable(fit: Estimate) -> None:
-    """Raise `IdentifiabilityError` for a stage whose regressors are collinear."""
-    for stage in fit.stages:
-        if int(stage.solution.rank) == len(stage.parameters):
-            continue
-        label, _ = fit.table.stages[stage.stage]
-        for name, size in zip(stage.parameters, np.asarray(stage.relative_size)):
-            if size == 0:
-                raise_if_refused([not_excited(label, fit.table[name])])
-        direction = np.asarray(stage.solution.weakest_direction)
-        which = combination(stage.parameters, direction)
-        rows = [fit.table[name] for name in weighing(stage.parameters, direction)]
-        raise IdentifiabilityError(
-            f"{label}: the record cannot tell these apart (collinear regressors): {which}, in "
-            f"units of each regressor's size. {excite_or_hold(rows)}"
-        )
-
-
-# What to do where recordings do not tell of some parameters, or not of one by itself.
-
-
-def excite_or_hold(rows: Sequence[Parameter], hold: str = "") -> str:
-    """A sentence on parameters that cannot be told apart.
-
-    Parts of a hidden element are known together or not at all, and where nothing tells of them the
-    likeliest reason is that there is none: it is left out rather than held.
-
-    **Arguments:** `hold`, the one that is named to hold; by default none is.
-    """
-    elements = (row.element for row in rows)
-    hidden = dict.fromkeys((e.words, e.option) for e in elements if e is not None)
-    if hidden:
-        what, options = (" and ".join(words) for words in zip(*hidden))
-        return (
-            f"Leave {what} out (on the command line: without {options}): the recordings may carry "
-            f"none; if there is one, excite the system more richly."
-        )
-    if len(rows) == 1:
-        name = rows[0].name
-        return f"Excite it, or hold it at a known value (on the command line: --set {name}=VALUE)."
-    return (
-        f"Excite the system more richly, or hold one of them at a known value (on the command "
-        f"line: --set {hold or 'NAME'}=VALUE)."
-    )
 
 
 # Whether a record tells a model's parameters apart, known before any of them is estimated.

@@ -14,11 +14,7 @@ from riecjax.errors import ModelError
 from riecjax.estimation.constant_target import target_findings
 from riecjax.estimation.constraints import NONE, Bounds, Constraints, constrained_uncertainty
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.excitation import (
-    raise_if_nothing_to_fit,
-    raise_if_refused,
-    raise_if_unidentifiable,
-)
+from riecjax.estimation.excitation import raise_if_nothing_to_fit, raise_if_refused
 from riecjax.estimation.hidden_modes import find_modes
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.resting import at_rest_findings
@@ -182,14 +178,13 @@ def estimated(
         poor = modes is None and float(fit.condition_number) > limit
         if poor and (rows := _rows(summary, table)):
             fit, _ = _solve(summary, *given, rows)
-        raise_if_unidentifiable(fit)
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
     whole = [summary.band == summary.in_law] * len(model.stages)
     if modes is not None:
         whole = [band is None and all_of_law for band, all_of_law in zip(modes.bands, whole)]
     each = [len(of) if known else np.nan for of, known in zip(model.stages, whole)]
-    return dataclasses.replace(
+    fit = dataclasses.replace(
         fit,
         criterion=summary.criterion,
         stage_names=tuple(table.stages[stage.stage][0] for stage in fit.stages),
@@ -197,6 +192,9 @@ def estimated(
         rows_offered=offered * np.array([each[s.stage] for s in fit.stages]),
         summary=summary if xp.is_concrete(fit.stages, summary) else None,
     )
+    if xp.is_concrete(fit.stages):
+        raise_if_refused(fit.refusals())
+    return fit
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
