@@ -180,9 +180,8 @@ def estimated(
             fit, _ = _solve(summary, *given, rows)
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
-    whole = [summary.band == summary.in_law] * len(model.stages)
-    if modes is not None:
-        whole = [band is None and all_of_law for band, all_of_law in zip(modes.bands, whole)]
+    bands = [None] * len(model.stages) if modes is None else modes.bands
+    whole = [summary.band == summary.in_law and band is None for band in bands]
     each = [len(of) if known else np.nan for of, known in zip(model.stages, whole)]
     fit = dataclasses.replace(
         fit,

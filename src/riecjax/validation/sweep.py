@@ -300,7 +300,8 @@ def sweep_of_sums(summary: Summary, table: ParameterTable) -> WindowSweep:
     lengths = [(float(r.time_step), int(r.samples)) for r in summary.recordings]
     law = summary.criterion.between(bins.edges[bins.band[0]], bins.edges[bins.band[1]])
     low, high = _reach(lengths, law)
-    inside = (bins.edges[:-1] > low * (1 - 1e-9)) & (bins.edges[1:] < high * (1 + 1e-9))
+    slack = 1 + 1e-9
+    inside = (bins.edges[:-1] * slack > low) & (bins.edges[1:] < high * slack)
     pairs = [(i, i + 2) for i in range(inside.size - 1) if inside[i] and inside[i + 1]]
     if len(pairs) < 2:
         raise DataError(
@@ -389,6 +390,6 @@ def _estimates(
         np.concatenate([stage.solution.theta for stage in solutions]),
         block_influence(stages, table.known, values),
         np.array([stage.relative_rms for stage in solutions]),
-        np.array([stage.equations[0].noise_rms for stage in solutions]),
+        np.array([stage.noise_rms for stage in solutions]),
         np.min([np.sum(stage.count > 0) for stage in stages]),
     )
