@@ -40,7 +40,7 @@ from riecjax.equations.expressions import constant
 from riecjax.equations.model import Model
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.findings import Finding
-from riecjax.leaves import in_percent
+from riecjax.leaves import TINY, in_percent
 from riecjax.linear_algebra import unit_diagonal
 from riecjax.summaries.normal_equations import EquationSums
 from riecjax.summaries.summary import Summary
@@ -110,7 +110,7 @@ def _wrong_zero(seen: "_Averaged", table: ParameterTable) -> list[Finding]:
     remedy = ("--unknown-offset", inputs[0]) if len(inputs) == 1 else ()
     # How far each coefficient is from that of motion alone, as a share of it in the fit.
     whole, alone = _fit(seen.products), _fit(seen.moving)
-    shares = np.minimum(np.abs(alone - whole) / np.maximum(np.abs(whole), 1e-300), MOST_MOVED)
+    shares = np.minimum(np.abs(alone - whole) / np.maximum(np.abs(whole), TINY), MOST_MOVED)
     moved = dict(zip(seen.columns, shares.tolist()))
     most = max(moved, key=lambda name: moved[name])
     message = (

@@ -325,7 +325,7 @@ def jackknife_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
     """
     used, whole = statistics.used, statistics.slope
     scale = unit_scale(xp.diagonal(whole))
-    least = 1e4 * xp.finfo(scale.dtype).eps
+    least = xp.finfo(scale.dtype).eps ** 0.5
 
     # Solved for the change itself: without the block, the scores at the estimate sum to minus its
     # own, and nothing is lost by subtracting two estimates that agree in most of their digits.

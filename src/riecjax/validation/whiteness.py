@@ -38,9 +38,7 @@ VANISHING = 1e-6
 """Residual as a share of its signal below which it is the arithmetic's, and no test is made."""
 DIFFUSE = 1e6
 """Initial state that is allowed for before any residual was seen, in units of what moves one by its
-size."""
-DETERMINING = 1e4
-"""Variance of a residual, in units of its noise's, from which it rather determines that state."""
+size; a residual with a variance of as many units of its noise's rather determines that state."""
 FEWEST_RESIDUALS = 3 * LAGS
 MANY_SAMPLES = 2000
 """Samples of a window in which an initial state takes nothing that shows."""
@@ -181,7 +179,7 @@ def innovations(
             variance = 1 + np.einsum("ws,ws->w", h, gain)
             error = left[:, i, j] - np.einsum("ws,ws->w", h, state)
             found[:, i, j] = error / np.sqrt(variance)
-            kept[:, i, j] = here & (variance < DETERMINING)
+            kept[:, i, j] = here & (variance < DIFFUSE)
             gain = np.where(here, 1 / variance, 0.0)[:, None] * gain
             state = state + gain * error[:, None]
             spread = spread - gain[:, :, None] * np.einsum("wst,wt->ws", spread, h)[:, None, :]
