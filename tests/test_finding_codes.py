@@ -5,7 +5,6 @@ import re
 from pathlib import Path
 from types import SimpleNamespace
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -94,8 +93,8 @@ def test_noise_that_makes_up_much_of_what_tells_parameters_apart():
     assert (finding.signals, finding.parameters) == (("x",), ("m", "k"))
 
 
-@pytest.mark.raises_finding("few_effective_windows", "rarely_excited")
-def test_windows_that_overlap_nearly_all_are_few_and_replicates_may_hold_none():
+@pytest.mark.raises_finding("few_effective_windows")
+def test_windows_that_overlap_nearly_all_are_few():
     t = 0.01 * np.arange(400)
     rng = np.random.default_rng(0)
     signals = {"v": np.sin(2 * t), "F": 2 * np.cos(2 * t) + 3 * np.sin(2 * t)}
@@ -103,12 +102,6 @@ def test_windows_that_overlap_nearly_all_are_few_and_replicates_may_hold_none():
     body = rx.Equation(rx.Term("m", "v", derivative=1), rx.Term("c", "v"), -rx.Term(1.0, "F"))
     estimate = rx.identify(body, rx.Record(signals, 0.01), rx.RIEC(rx.AllWindows(1.5, 1.6)))
     assert "few_effective_windows" in [finding.code for finding in estimate.findings()]
-    lost = estimate.uncertainty.studentized
-    assert lost is not None
-    lost = jnp.where(jnp.arange(lost.shape[0])[:, None] % 5 == 0, jnp.nan, lost)
-    sound = eqx.tree_at(lambda e: e.uncertainty.few_blocks, estimate, jnp.zeros(2, bool))
-    rare = eqx.tree_at(lambda e: e.uncertainty.studentized, sound, lost)
-    assert "rarely_excited" in [finding.code for finding in rare.findings()]
 
 
 @pytest.mark.raises_finding("refined_predicts_worse")

@@ -128,7 +128,6 @@ CODES: dict[str, FindingClass] = {
     "interval_wider_than_estimate": _undetermined(
         "the recordings hardly determine {parameters}", rules_out=True, symptom=True
     ),
-    "rarely_excited": _undetermined("{parameters} is seldom excited"),
     "prior_disagrees": _sensors(
         "the recordings and the prior of {parameters} disagree",
         step="Check what you said of {parameters}, its unit too, or leave it out",

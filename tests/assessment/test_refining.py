@@ -49,7 +49,7 @@ def test_of_a_right_model_the_refined_values_are_the_answer(noise):
         if noise == 0.05:
             assert float(found.answer[name]) == pytest.approx(float(alone[name]), rel=1e-3)
     assert refinement.whiteness is not None
-    for power in refinement.whiteness.chi_squared.values():
+    for power in (each.chi_squared for each in refinement.whiteness.channels.values()):
         assert power == pytest.approx(1.0, abs=0.2)
 
 

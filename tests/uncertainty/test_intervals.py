@@ -31,7 +31,7 @@ from riecjax.uncertainty.intervals import BlockBootstrap
 # squares' own standard errors are far too small for such data.
 ROWS, SHORT, BLOCKS = 2000, 200, 40
 SECONDS = 0.1
-SETTING = ShortBlocks(np.array([SHORT]), jnp.array([SECONDS]))
+SETTING = ShortBlocks(np.array([SHORT]), jnp.array([SECONDS]), jnp.asarray(SECONDS))
 
 
 def autoregression(key, rho, shape=()):
@@ -56,7 +56,7 @@ def short_blocks(columns, names) -> NormalEquations:
 
 def statistics_of(fine, blocks=BLOCKS, short=SETTING) -> BlockStatistics:
     _, values = solve_stages([stage.flattened() for stage in fine], {})
-    found = block_statistics(fine, {}, values, short, jnp.asarray(SECONDS))
+    found = block_statistics(fine, {}, values, short)
     length, used = jnp.asarray(SECONDS * SHORT / blocks), jnp.array([blocks])
     return found._replace(length=length, used=used)
 
@@ -149,7 +149,7 @@ def regression(seed, short, used):
     rows = Rows(jnp.array(np.stack([y, *a.T])), jnp.arange(60), ("a", "b"))
     made = NormalEquations.of_rows(rows, block_of_row=jnp.array(block), block_count=short)
     fine = [NormalEquations(made.moments[None], made.count[None], ("a", "b"))]
-    setting = ShortBlocks(np.array([short]), jnp.array([SECONDS * SHORT / short]))
+    setting = ShortBlocks(np.array([short]), jnp.array([SECONDS * SHORT / short]), SECONDS)
     return a, y, block, statistics_of(fine, used, setting)
 
 

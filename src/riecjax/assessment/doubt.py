@@ -45,7 +45,7 @@ from riecjax.equations.model import Model
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, class_of
-from riecjax.leaves import size_of
+from riecjax.leaves import in_percent, size_of
 from riecjax.records.preparation.steps import undone
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
@@ -408,7 +408,7 @@ def with_doubts(
     for finding in checked.findings:
         if moved := doubts.get(finding.code):
             name, share = max(moved.items(), key=lambda entry: entry[1])
-            effect = f" Without it {name} changes by {100 * share:.2g} %."
+            effect = f" Without it {name} changes by {in_percent(share)}."
             finding = finding._replace(message=finding.message + effect, doubts=moved)
         findings.append(finding)
     return dataclasses.replace(checked, findings=findings)

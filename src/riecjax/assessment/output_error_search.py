@@ -139,15 +139,15 @@ def _warranted(problem: Problem, estimate: Estimate, by: OutputError) -> Refinem
             found, left = other, other.whiteness
     if left.white:
         return found
-    name = max(left.statistics, key=lambda channel: left.statistics[channel])
+    name, loudest = max(left.channels.items(), key=lambda channel: channel[1].statistic)
     cause = (
         "so little is left by the input's noise or its course between samples, too"
-        if max(left.shares.values()) < SMALL_SHARE
+        if max(channel.share for channel in left.channels.values()) < SMALL_SHARE
         else "so the model leaves out part of the motion, the noise is coloured, or a recorded "
         "input is noisy"
     )
     return found._replace(
-        declined=f"what it leaves of {name}, {100 * left.shares[name]:.2g} % of it, is not white "
+        declined=f"what it leaves of {name}, {100 * loudest.share:.2g} % of it, is not white "
         f"noise ({left.largest:.3g}, where noise stays below {left.threshold:.2g}), {cause}"
     )
 

@@ -21,7 +21,7 @@ from riecjax.estimation.estimate import (
 )
 from riecjax.estimation.parameters import values_in_recording
 from riecjax.findings import Finding
-from riecjax.leaves import told
+from riecjax.leaves import in_percent, told
 from riecjax.records.noise_judgement import ABOVE_NOISE
 
 # What simulates and refines takes as long to import as a linear answer does: where it is asked for.
@@ -202,7 +202,7 @@ class Refinement(NamedTuple):
         return {
             "chosen": self.chosen,
             "declined": self.declined or None,
-            "chi_squared": left and max(left.chi_squared.values(), default=None),
+            "chi_squared": left and max(each.chi_squared for each in left.channels.values()),
             "whiteness": left and left.entry(),
             "identified": parameter_entries(self.start),
             "refined": None if refined is None else parameter_entries(refined),
@@ -228,7 +228,7 @@ def unwarranted(estimate: Estimate) -> str:
         left, noise = float(fit.model_rms), float(fit.noise_rms)
         if left > max(LEFT_OUT, ABOVE_NOISE * noise):
             return (
-                f"{name} leaves {100 * left:.2g} % of its target and noise {100 * noise:.2g} "
+                f"{name} leaves {in_percent(left)} of its target and noise {100 * noise:.2g} "
                 f"%, so that values would bend to make up for what the model leaves out; {ASK}"
             )
     return ""

@@ -40,6 +40,7 @@ from riecjax.equations.expressions import constant
 from riecjax.equations.model import Model
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.findings import Finding
+from riecjax.leaves import TINY, in_percent
 from riecjax.linear_algebra import unit_diagonal
 from riecjax.summaries.normal_equations import EquationSums
 from riecjax.summaries.summary import Summary
@@ -109,14 +110,14 @@ def _wrong_zero(seen: "_Averaged", table: ParameterTable) -> list[Finding]:
     remedy = ("--unknown-offset", inputs[0]) if len(inputs) == 1 else ()
     # How far each coefficient is from that of motion alone, as a share of it in the fit.
     whole, alone = _fit(seen.products), _fit(seen.moving)
-    shares = np.minimum(np.abs(alone - whole) / np.maximum(np.abs(whole), 1e-300), MOST_MOVED)
+    shares = np.minimum(np.abs(alone - whole) / np.maximum(np.abs(whole), TINY), MOST_MOVED)
     moved = dict(zip(seen.columns, shares.tolist()))
     most = max(moved, key=lambda name: moved[name])
     message = (
         f"{seen.equation.name}: the constant parts of the signals disagree with their motion, "
-        f"as with a wrong zero of a sensor: together they leave {100 * fitted:.2g} % of how "
-        f"the target varies, motion alone {100 * left:.2g} %. It moves {most} by "
-        f"{100 * moved[most]:.2g} % of its value. Estimate the zero as a constant"
+        f"as with a wrong zero of a sensor: together they leave {in_percent(fitted)} of how "
+        f"the target varies, motion alone {in_percent(left)}. It moves {most} by "
+        f"{in_percent(moved[most])} of its value. Estimate the zero as a constant"
         + (f" (on the command line: {' '.join(remedy)})" if remedy else "")
         + ": rx.Term('offset', rx.constant); or remove the signals' offsets."
     )
@@ -161,8 +162,8 @@ def _fitted_by_one(seen: "_Averaged", elsewhere: set[str]) -> str:
         if elsewhere.isdisjoint(columns) and (fitted := seen.left_by_means(left)) > 0:
             return (
                 f"the constant parts disagree with the motion, as with a wrong zero of a sensor: "
-                f"together they leave {100 * fitted:.2g} % of how the input varies, motion alone "
-                f"{100 * left:.2g} %. Add a constant term (an offset parameter), or remove the "
+                f"together they leave {in_percent(fitted)} of how the input varies, motion alone "
+                f"{in_percent(left)}. Add a constant term (an offset parameter), or remove the "
                 f"signals' offsets."
             )
         return ""

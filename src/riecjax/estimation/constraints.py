@@ -257,7 +257,6 @@ def prior_curvature(
     constraints: Constraints,
     earlier: Sequence[Float[Array, " earlier"]],
     short: ShortBlocks,
-    longest_window: Float[Array, ""],
 ) -> Float[Array, " p"]:
     """Curvature of each prior of the last of some stages, 0 where there is none; see the module.
 
@@ -268,7 +267,7 @@ def prior_curvature(
     records = short.number.shape[0]
     by_record = [s.in_blocks(lambda v: v.reshape(records, -1, *v.shape[1:])) for s in stages]
     ridge = float(np.cbrt(xp.finfo(stages[-1].moments.dtype).eps))
-    statistics = block_statistics(by_record, known, values, short, longest_window, ridge)
+    statistics = block_statistics(by_record, known, values, short, ridge)
     total, used = stages[-1].total(), xp.sum(statistics.used)
     weight = constraints.prior(statistics.names)[1]
     whole, place = statistics.slope, slice(sum(map(len, earlier)), None)

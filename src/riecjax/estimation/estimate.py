@@ -17,17 +17,21 @@ from riecjax.arrays import hosted
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.hidden_elements import SeriesSpring
 from riecjax.errors import ModelError
-from riecjax.estimation.parameters import ParameterTable
+from riecjax.estimation.parameters import (
+    ParameterTable,
+    combination,
+    excite_or_hold,
+    not_excited,
+    weighing,
+)
 from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf, PlainMethods
+from riecjax.leaves import Leaf, PlainMethods, in_percent
 from riecjax.linear_algebra import gram_condition_limit
 from riecjax.shows import Tabled, save
 from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.intervals import Uncertainty
 
-LOST_SHARE = 0.05
-"""Share of the bootstrap's replicates that may leave a parameter undetermined."""
 NOTABLE_INFLATION = 1.1
 """Factor on a standard error from which recordings are said to disagree."""
 NOTABLE_LEAN = 3.0
@@ -44,8 +48,8 @@ FEWEST_BLOCKS = 7
 come out as no more."""
 FEWEST_WINDOWS = 10
 """Independent windows below which an interval is rough."""
-ROUNDING = {np.dtype(np.float64): 1e-9, np.dtype(np.float32): 1e-6}
-"""Share of rows that may be missing only because their number was rounded, by precision."""
+LEVEL = 0.95
+"""Of intervals, by default."""
 MOSTLY = 0.5
 """Share of what is known of a parameter from which it rests on its prior."""
 MATTERING_SHARE = 0.02
@@ -346,7 +350,7 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
         """Standard error of one estimated parameter."""
         return self._of(self.standard_errors, name)
 
-    def interval(self, name: str, level: float = 0.95) -> tuple[Any, Any]:
+    def interval(self, name: str, level: float = LEVEL) -> tuple[Any, Any]:
         """Ends of the confidence interval (not under jit); see [`Uncertainty.reach`][].
 
         Floats, or of a batch arrays of its shape.
@@ -355,14 +359,14 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
         return self.interval_by_name(level)[name]
 
     def intervals(
-        self, level: float = 0.95
+        self, level: float = LEVEL
     ) -> tuple[Float[np.ndarray, "*batch p"], Float[np.ndarray, "*batch p"]]:
         """Lower and upper ends of the confidence intervals of all `parameters` (not under jit)."""
         below, above = self.uncertainty.reach(level)
         theta, errors = np.asarray(self.theta), np.asarray(self.standard_errors)
         return theta - below * errors, theta + above * errors
 
-    def interval_by_name(self, level: float = 0.95) -> dict[str, tuple[Any, Any]]:
+    def interval_by_name(self, level: float = LEVEL) -> dict[str, tuple[Any, Any]]:
         """As `interval`, of every parameter: quantiles of replicates are formed once."""
         ends = zip(*(np.moveaxis(end, -1, 0) for end in self.intervals(level)))
         if self.batch_shape:
@@ -410,7 +414,7 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
         yield from self._of_windows() if self.search is None else self._of_search()
 
     def _of_windows(self) -> Iterator[Finding]:
-        if lost := list(self._without_answer()):
+        if lost := list(self.refusals()):
             yield from (*lost, *self._coverage(), *self._precision())
             return
         if float(self.condition_number) > gram_condition_limit(self.theta.dtype):
@@ -443,8 +447,8 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
             if (share := float(equation.relative_rms)) > LARGE_RESIDUAL:
                 yield Finding(
                     "large_residual",
-                    f"{name}: the model leaves {100 * share:.0f} % of the signal unexplained, so "
-                    f"it is wrong in some important way.",
+                    f"{name}: the model leaves {in_percent(share, '.0f')} of the signal "
+                    f"unexplained, so it is wrong in some important way.",
                     parameters=equation.parameters,
                 )
         # Equations without a known term that move their coefficients by more than chance.
@@ -456,7 +460,7 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
                 yield Finding(
                     "no_known_term",
                     f"{name}: no term of it is known, so that its residual pulls "
-                    f"{', '.join(equation.parameters)} towards zero, by about {100 * share:.2g} %. "
+                    f"{', '.join(equation.parameters)} towards zero, by about {in_percent(share)}. "
                     f"Solve it after the equations that set their scale (riecjax.staged); where "
                     f"those do not determine them, hold one at a known value (on the command "
                     f"line: --set NAME=VALUE).",
@@ -485,37 +489,42 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
                 f"length, and those from {low:.4g} to {high:.4g} s were taken. Summarise anew with "
                 f"these as alpha and beta for exactly that band.",
             )
-        yield from (*self._rarely_excited(), *self._precision())
+        yield from self._precision()
 
-    def _without_answer(self) -> Iterator[Finding]:
-        """What `identify` refuses where it can look at values; of a batch it is found here."""
+    def refusals(self) -> Iterator[Finding]:
+        """What leaves no answer: raised where values can be looked at, and of a batch found here.
+
+        Of windows: rows that are missing or not finite, and parameters that they do not tell apart.
+        """
         for label, stage in zip(self.stage_names, self.stages):
-            solution = stage.solution
-            if not stage.parameters:
-                continue
+            solution, names = stage.solution, stage.parameters
+            silent = np.flatnonzero(np.asarray(stage.relative_size) == 0)
             if not np.all(np.isfinite(solution.theta)):
-                which = "its terms or known values are not finite numbers"
+                why = "its terms or known values are not finite numbers."
             elif float(stage.count) == 0:
-                which = "no rows: every window touches a missing or masked sample"
-            elif int(solution.rank) < len(stage.parameters):
-                weakest = combination(stage.parameters, np.asarray(solution.weakest_direction))
-                which = f"the record cannot tell these apart: {weakest}"
-            else:
+                why = "no rows: every window touches a missing or masked sample."
+            elif int(solution.rank) == len(names):
                 continue
-            yield Finding(
-                "unidentifiable",
-                f"{label}: {which}. There is no answer: what stands for "
-                f"{', '.join(stage.parameters)} means nothing.",
-                parameters=stage.parameters,
-            )
+            elif silent.size:
+                yield not_excited(label, self.table[names[silent[0]]])
+                continue
+            else:
+                direction = np.asarray(solution.weakest_direction)
+                rows = [self.table[name] for name in weighing(names, direction)]
+                why = (
+                    f"the record cannot tell these apart: {combination(names, direction)}, in "
+                    f"units of each regressor's size. {excite_or_hold(rows)}"
+                )
+            yield Finding("unidentifiable", f"{label}: {why}", parameters=names)
 
     def _coverage(self) -> Iterator[Finding]:
         for label, stage, offered in zip(self.stage_names, self.stages, self.rows_offered):
             lost = 1 - float(stage.count) / float(offered)
-            if lost > ROUNDING[stage.count.dtype]:
+            # Less may be missing only because the number of rows was rounded.
+            if lost > np.finfo(stage.count.dtype).eps ** 0.5:
                 yield Finding(
                     "rows_left_out",
-                    f"{label}: {100 * lost:.2g} % of the windows (or samples) touch a missing or "
+                    f"{label}: {in_percent(lost)} of the windows (or samples) touch a missing or "
                     f"masked sample and are left out.",
                 )
         if int(self.block_count) < FEWEST_BLOCKS:
@@ -579,7 +588,7 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
                 parameters=tuple(silent),
             )
         yield from (*self._negative_values(), *self._few_blocks())
-        yield from (*self._rarely_excited(), *self._disagreement())
+        yield from self._disagreement()
 
     def _constrained(self) -> Iterator[Finding]:
         """Parameters that bounds or priors tell, and not data."""
@@ -652,24 +661,6 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
             "record for longer.",
         )
 
-    def _rarely_excited(self) -> list[Finding]:
-        """Parameters that many of the bootstrap's replicates leave undetermined."""
-        replicates = self.uncertainty.studentized
-        if replicates is None:
-            return []
-        lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=0)
-        lost = np.where(self.uncertainty.few_blocks | np.asarray(self.at_bound), 0.0, lost)
-        return finding(
-            "rarely_excited",
-            self.parameters,
-            lost > LOST_SHARE,
-            100 * lost,
-            "so few stretches of the record tell of {} that so large a share of the bootstrap's "
-            "replicates held none of them: their intervals are rough. Record for longer, or excite "
-            "them more often.",
-            " %",
-        )
-
     def _disagreement(self) -> list[Finding]:
         """Parameters on which recordings disagree by more than chance."""
         return each_finding(
@@ -707,12 +698,11 @@ def finding(
     which: ArrayLike,
     numbers: ArrayLike,
     message: str,
-    unit: str = "",
 ) -> list[Finding]:
     """One on some parameters, if there are any, that lists each with its number."""
     chosen = np.flatnonzero(which).tolist()
     values = np.asarray(numbers)[chosen]
-    listed = ", ".join(f"{names[i]} ({value:.2g}{unit})" for i, value in zip(chosen, values))
+    listed = ", ".join(f"{names[i]} ({value:.2g})" for i, value in zip(chosen, values))
     message = message.format(listed)
     return [Finding(code, message, parameters=tuple(names[i] for i in chosen))] if chosen else []
 
@@ -738,22 +728,6 @@ def span(values: ArrayLike, form: str = ".3g") -> str:
     ends = (finite.min(), finite.max()) if finite.size else (numbers[0], numbers[0])
     low, high = (f"{end:{form}}" for end in ends)
     return low if low == high else f"{low} .. {high}"
-
-
-def weighing(names: Sequence[str], direction: Float[np.ndarray, " p"]) -> tuple[str, ...]:
-    """Parameters that weigh more than a tenth of the largest part of a direction."""
-    largest = np.max(np.abs(direction))
-    return tuple(n for c, n in zip(direction, names) if abs(c) > 0.1 * largest)
-
-
-def combination(names: tuple[str, ...], direction: Float[np.ndarray, " p"]) -> str:
-    """A direction over parameters as `0.71 F_1 - 0.71 F_2`, small parts left out."""
-    large = weighing(names, direction)
-    parts = [(c, n) for c, n in zip(direction, names) if n in large]
-    if parts and parts[0][0] < 0:
-        parts = [(-c, n) for c, n in parts]
-    words = [f"{'-' if c < 0 else '+'} {abs(c):.2f} {n}" for c, n in parts]
-    return " ".join(words).removeprefix("+ ")
 
 
 def intervals_entry(estimate: Estimate) -> dict[str, Any]:

@@ -30,7 +30,7 @@ from riecjax.estimation.hidden_modes import (
     search_band,
 )
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf, finite, told
+from riecjax.leaves import Leaf, finite, in_percent, told
 from riecjax.shows import Drawn
 from riecjax.summaries.normal_equations import NormalEquations
 
@@ -115,9 +115,9 @@ class ModeEvidence(Drawn):
         shares = "noise accounts for all that is left"
         if float(self.without) > 0:
             shares = (
-                f"{100 * float(self.without):.2g} % of the signal is left without it and "
-                f"{100 * max(float(self.unexplained), 0.0):.2g} % with it, difference "
-                f"{100 * float(self.gain):.2g} +- {100 * float(self.gain_error):.2g} %"
+                f"{in_percent(self.without)} of the signal is left without it and "
+                f"{in_percent(max(float(self.unexplained), 0.0))} with it, difference "
+                f"{100 * float(self.gain):.2g} +- {in_percent(self.gain_error)}"
             )
         names = self.parameters
         first = names == HiddenMode(self.on).parameters
@@ -125,7 +125,7 @@ class ModeEvidence(Drawn):
         mode = f"the hidden mode on {self.on} ({names[0]})"
         message = (
             f"{self.stage}: the recordings do not carry this mode{close}: on time that it was not "
-            f"found from, {mode} explains {100 * max(self.explained, 0.0):.2g} % of what is left "
+            f"found from, {mode} explains {in_percent(max(self.explained, 0.0))} of what is left "
             f"without it ({shares}). Leave it out; something else is missing, such as friction or "
             f"a delay, or nothing."
         )

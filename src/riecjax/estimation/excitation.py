@@ -7,11 +7,17 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax.errors import DataError, IdentifiabilityError
-from riecjax.estimation.estimate import Estimate, combination, weighing
-from riecjax.estimation.parameters import Parameter, ParameterTable
+from riecjax.estimation.parameters import (
+    Parameter,
+    ParameterTable,
+    combination,
+    excite_or_hold,
+    not_excited,
+    weighing,
+)
 from riecjax.estimation.stages import largest_share, stages_over_records
 from riecjax.findings import CODES, Finding
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, in_percent
 from riecjax.linear_algebra import symmetric_eigen, unit_diagonal
 from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summary import Summary
@@ -54,62 +60,6 @@ def raise_if_refused(findings: Iterable[Finding]) -> None:
     """
     if refusal := refusal_by(findings):
         raise IdentifiabilityError(refusal.message, refusal.code)
-
-
-def not_excited(stage_name: str, row: Parameter) -> Finding:
-    """That a parameter's regressor is zero throughout."""
-    return Finding(
-        "not_excited",
-        f"{stage_name}: nothing in the record tells of {row.name}; its regressor is zero "
-        f"throughout. {excite_or_hold([row], row.name)}",
-        parameters=(row.name,),
-    )
-
-
-def raise_if_unidentifiable(fit: Estimate) -> None:
-    """Raise `IdentifiabilityError` for a stage whose regressors are collinear."""
-    for stage in fit.stages:
-        if int(stage.solution.rank) == len(stage.parameters):
-            continue
-        label, _ = fit.table.stages[stage.stage]
-        for name, size in zip(stage.parameters, np.asarray(stage.relative_size)):
-            if size == 0:
-                raise_if_refused([not_excited(label, fit.table[name])])
-        direction = np.asarray(stage.solution.weakest_direction)
-        which = combination(stage.parameters, direction)
-        rows = [fit.table[name] for name in weighing(stage.parameters, direction)]
-        raise IdentifiabilityError(
-            f"{label}: the record cannot tell these apart (collinear regressors): {which}, in "
-            f"units of each regressor's size. {excite_or_hold(rows)}"
-        )
-
-
-# What to do where recordings do not tell of some parameters, or not of one by itself.
-
-
-def excite_or_hold(rows: Sequence[Parameter], hold: str = "") -> str:
-    """A sentence on parameters that cannot be told apart.
-
-    Parts of a hidden element are known together or not at all, and where nothing tells of them the
-    likeliest reason is that there is none: it is left out rather than held.
-
-    **Arguments:** `hold`, the one that is named to hold; by default none is.
-    """
-    elements = (row.element for row in rows)
-    hidden = dict.fromkeys((e.words, e.option) for e in elements if e is not None)
-    if hidden:
-        what, options = (" and ".join(words) for words in zip(*hidden))
-        return (
-            f"Leave {what} out (on the command line: without {options}): the recordings may carry "
-            f"none; if there is one, excite the system more richly."
-        )
-    if len(rows) == 1:
-        name = rows[0].name
-        return f"Excite it, or hold it at a known value (on the command line: --set {name}=VALUE)."
-    return (
-        f"Excite the system more richly, or hold one of them at a known value (on the command "
-        f"line: --set {hold or 'NAME'}=VALUE)."
-    )
 
 
 # Whether a record tells a model's parameters apart, known before any of them is estimated.
@@ -176,12 +126,13 @@ class Excitation(NamedTuple):
         if share < UNIDENTIFIABLE:
             code, why, signals = "unidentifiable", "the record cannot tell these apart", ()
         elif noise > drowned:
-            code, why = "unidentifiable", f"what tells these apart is {100 * noise:.0f} % {whose}"
+            code = "unidentifiable"
+            why = f"what tells these apart is {in_percent(noise, '.0f')} {whose}"
         elif noise > DOMINATES:
             code = "noise_dominates"
             why = (
-                f"{100 * noise:.0f} % of what tells these apart is {whose}, so that they rest on "
-                f"how well that is known"
+                f"{in_percent(noise, '.0f')} of what tells these apart is {whose}, so that they "
+                f"rest on how well that is known"
             )
             remedy = (
                 f"Take longer windows (--beta), refine by output error (--refine output-error), or "
@@ -190,7 +141,7 @@ class Excitation(NamedTuple):
         elif share < NEARLY_COLLINEAR:
             code, signals = "nearly_collinear", ()
             why = (
-                f"only {100 * share:.2g} % of the regressors tells these apart, so a small error "
+                f"only {in_percent(share)} of the regressors tells these apart, so a small error "
                 f"of a sensor moves them far"
             )
         else:

@@ -329,7 +329,8 @@ def polished(stage: ModeStage, start: Float[Array, " shapes"]) -> Float[Array, "
         slope, bend = stage.slope_and_bend(at)
         values, vectors = symmetric_eigen(xp.where(xp.isfinite(bend), bend, 0.0))
         # With the bend's eigenvalues made positive every step leads down.
-        size = xp.maximum(xp.abs(values), 1e-9 * xp.max(xp.abs(values)))
+        rounding = float(xp.finfo(values.dtype).eps) ** 0.5
+        size = xp.maximum(xp.abs(values), rounding * xp.max(xp.abs(values)))
         downhill = -vectors @ ((vectors.T @ slope) / xp.where(size > 0, size, 1.0))
         farthest = xp.max(xp.abs(downhill))
         downhill = downhill * xp.minimum(1.0, FARTHEST / xp.where(farthest > 0, farthest, 1.0))

@@ -14,11 +14,7 @@ from riecjax.errors import ModelError
 from riecjax.estimation.constant_target import target_findings
 from riecjax.estimation.constraints import NONE, Bounds, Constraints, constrained_uncertainty
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.excitation import (
-    raise_if_nothing_to_fit,
-    raise_if_refused,
-    raise_if_unidentifiable,
-)
+from riecjax.estimation.excitation import raise_if_nothing_to_fit, raise_if_refused
 from riecjax.estimation.hidden_modes import find_modes
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.resting import at_rest_findings
@@ -182,14 +178,12 @@ def estimated(
         poor = modes is None and float(fit.condition_number) > limit
         if poor and (rows := _rows(summary, table)):
             fit, _ = _solve(summary, *given, rows)
-        raise_if_unidentifiable(fit)
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
-    whole = [summary.band == summary.in_law] * len(model.stages)
-    if modes is not None:
-        whole = [band is None and all_of_law for band, all_of_law in zip(modes.bands, whole)]
+    bands = [None] * len(model.stages) if modes is None else modes.bands
+    whole = [summary.band == summary.in_law and band is None for band in bands]
     each = [len(of) if known else np.nan for of, known in zip(model.stages, whole)]
-    return dataclasses.replace(
+    fit = dataclasses.replace(
         fit,
         criterion=summary.criterion,
         stage_names=tuple(table.stages[stage.stage][0] for stage in fit.stages),
@@ -197,6 +191,9 @@ def estimated(
         rows_offered=offered * np.array([each[s.stage] for s in fit.stages]),
         summary=summary if xp.is_concrete(fit.stages, summary) else None,
     )
+    if xp.is_concrete(fit.stages):
+        raise_if_refused(fit.refusals())
+    return fit
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -211,12 +208,10 @@ def _solve(
     of each stage of the model, those that find nothing included, the totals to refuse it by."""
     equations = [[borne_out(equation) for equation in stage] for stage in summary.equations()]
     known, short = table.known, summary.short_blocks
-    longest_window = xp.asarray(summary.criterion.block_length)
     stages, shared = stages_over_records(equations, table)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
     flat = [stage.flattened() for stage in stages]
-    weighing = constraints, short, longest_window
-    solutions, values = solve_stages(flat, known, rows, apart, *weighing)
+    solutions, values = solve_stages(flat, known, rows, apart, constraints, short)
     totals = [stage.total() for stage in flat]
     for solution in solutions:
         place = solution.stage
@@ -224,7 +219,7 @@ def _solve(
     # What belongs to one recording cannot differ between recordings.
     common = np.array([table[n].recording is None for s in solutions for n in s.parameters])
     uncertainty, inflation, statistics = estimate_uncertainty(
-        stages, known, values, short, longest_window, common, intervals
+        stages, known, values, short, common, intervals
     )
     uncertainty = uncertainty.widened(level_covariance(statistics, summary.noise_freedom))
     theta, curvature, at_bound = (

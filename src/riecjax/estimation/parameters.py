@@ -8,19 +8,19 @@ all recordings, with zeros for what the recording does not hold, and then add up
 Names are for readers: they are written here, and what a parameter is stands in its row.
 """
 
-import dataclasses
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar, cast
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from riecjax.arrays import is_concrete
 from riecjax.equations.hidden_elements import HiddenElement, HiddenMode, SeriesSpring
 from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError, refuse_unknown, require
+from riecjax.findings import Finding
 from riecjax.leaves import Leaf, PlainMethods, is_number
 from riecjax.summaries.summarise import require_key
 
@@ -143,10 +143,6 @@ class ParameterTable(PlainMethods, eqx.Module):
         unknown = [name for name in names if not {*self.everywhere([name])} <= every]
         refuse_unknown(unknown, self.names)
 
-    def holding(self, known: Mapping[str, Any]) -> "ParameterTable":
-        """The table with these values known, and no others."""
-        return dataclasses.replace(self, known=dict(known))
-
     def settled(self, values: Mapping[str, Any]) -> "ParameterTable":
         """The table with these values known as well, which no stage finds."""
         stages = tuple(
@@ -241,7 +237,7 @@ def plan_parameters(
         name: np.asarray(value, float) if is_concrete(value) else value
         for name, value in held.items()
     }
-    settled = {row.local for row in table.rows} - {*table.holding(held).free_somewhere}
+    settled = {row.local for row in table.rows} - {*table.settled(held).free_somewhere}
     # A stage finds what no recording has been given, and no earlier stage has found.
     stages = tuple(
         (label, tuple(name for name in table.everywhere(names) if name not in held))
@@ -274,3 +270,57 @@ def require_numbers(known: Mapping[str, Any]) -> None:
             )
         if is_concrete(value) and not np.isfinite(float(value)):
             raise ModelError(f"{name} is held at {value}: give a finite number.")
+
+
+# What to do where recordings do not tell of some parameters, or not of one by itself.
+
+
+def excite_or_hold(rows: Sequence[Parameter], hold: str = "") -> str:
+    """A sentence on parameters that cannot be told apart.
+
+    Parts of a hidden element are known together or not at all, and where nothing tells of them the
+    likeliest reason is that there is none: it is left out rather than held.
+
+    **Arguments:** `hold`, the one that is named to hold; by default none is.
+    """
+    elements = (row.element for row in rows)
+    hidden = dict.fromkeys((e.words, e.option) for e in elements if e is not None)
+    if hidden:
+        what, options = (" and ".join(words) for words in zip(*hidden))
+        return (
+            f"Leave {what} out (on the command line: without {options}): the recordings may carry "
+            f"none; if there is one, excite the system more richly."
+        )
+    if len(rows) == 1:
+        name = rows[0].name
+        return f"Excite it, or hold it at a known value (on the command line: --set {name}=VALUE)."
+    return (
+        f"Excite the system more richly, or hold one of them at a known value (on the command "
+        f"line: --set {hold or 'NAME'}=VALUE)."
+    )
+
+
+def not_excited(stage_name: str, row: Parameter) -> Finding:
+    """That a parameter's regressor is zero throughout."""
+    return Finding(
+        "not_excited",
+        f"{stage_name}: nothing in the record tells of {row.name}; its regressor is zero "
+        f"throughout. {excite_or_hold([row], row.name)}",
+        parameters=(row.name,),
+    )
+
+
+def weighing(names: Sequence[str], direction: Float[np.ndarray, " p"]) -> tuple[str, ...]:
+    """Parameters that weigh more than a tenth of the largest part of a direction."""
+    largest = np.max(np.abs(direction))
+    return tuple(n for c, n in zip(direction, names) if abs(c) > 0.1 * largest)
+
+
+def combination(names: tuple[str, ...], direction: Float[np.ndarray, " p"]) -> str:
+    """A direction over parameters as `0.71 F_1 - 0.71 F_2`, small parts left out."""
+    large = weighing(names, direction)
+    parts = [(c, n) for c, n in zip(direction, names) if n in large]
+    if parts and parts[0][0] < 0:
+        parts = [(-c, n) for c, n in parts]
+    words = [f"{'-' if c < 0 else '+'} {abs(c):.2f} {n}" for c, n in parts]
+    return " ".join(words).removeprefix("+ ")

@@ -10,6 +10,7 @@ from riecjax.equations.model import Model, with_rests
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
+from riecjax.leaves import in_percent, size_of
 from riecjax.records.record import Record
 
 MOVED = 2.0
@@ -59,10 +60,10 @@ def at_rest_findings(
         change, step = "", "Mask it in the equation: where=rx.equations.faster_than(...)"
     listed = ", ".join(f"{n} {a:.4g} would be {b:.4g}" for n, (a, b) in moved.items())
     message = (
-        f"{which} is at rest {100 * rested / count:.2g} % of the time, where friction is whatever "
+        f"{which} is at rest {in_percent(rested / count)} of the time, where friction is whatever "
         f"balances the other forces; {done}{change + ' ' if moved else ''}{listed}."
     )
-    doubts = {} if masked else {n: abs(b - a) / max(abs(a), 1e-300) for n, (a, b) in moved.items()}
+    doubts = {} if masked else {n: abs(b - a) / size_of(a) for n, (a, b) in moved.items()}
     if step:
         message += f" {step}."
     options = ("--at-rest", "mask") if moved and not masked else ()

@@ -212,7 +212,6 @@ def solve_stages(
     apart: list[list[NormalEquations]] | None = None,
     constraints: Constraints = NONE,
     short: ShortBlocks | None = None,
-    longest_window: Float[Array, ""] | None = None,
 ) -> tuple[list[StageSolution], dict[str, Array]]:
     """Solve each stage's normal equations (blocks along the leading axis) in turn.
 
@@ -237,7 +236,6 @@ def solve_stages(
         held = np.zeros(curvature.shape, bool)
         if {*names} & {*constraints.priors}:
             assert short is not None
-            assert longest_window is not None
             curvature = prior_curvature(
                 informed,
                 known,
@@ -245,7 +243,6 @@ def solve_stages(
                 constraints,
                 [stage.prior_curvature for stage in solutions],
                 short,
-                longest_window,
             )
         if {*names} & {*constraints.priors, *constraints.bounds}:
             solution, held = _constrained(equations, of_stage, constraints, curvature)

@@ -16,7 +16,7 @@ from riecjax.extensions import require_packages
 from riecjax.fleets.groups import Entry
 from riecjax.fleets.order import DONE, Row
 from riecjax.fleets.spread import ALARMS, RATE, Change, Spread, changes, spreads
-from riecjax.leaves import told
+from riecjax.leaves import in_percent, told
 from riecjax.reporting import (
     SCHEMA,
     Document,
@@ -235,7 +235,7 @@ COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "std error": ("std_error", few),
     "between": ("between", few),
     "within": ("within", few),
-    "share between": ("share", lambda share: f"{100 * share:.0f} %"),
+    "share between": ("share", lambda share: in_percent(share, ".0f")),
     "p": ("p_value", probability),
     "differ": ("differing_count", str),
     "most have": ("centre", number),
@@ -245,7 +245,7 @@ COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "before": ("before", number),
     "after": ("after", number),
     "findings": ("codes", ", ".join),
-    "doubt": ("doubt", lambda share: f"{100 * share:.2g} %" if share else ""),
+    "doubt": ("doubt", lambda share: in_percent(share) if share else ""),
     "the worst of them": ("message", str),
 }
 """Of a column the key of what it shows, and how that is said; of any other its header, as text."""
@@ -293,14 +293,15 @@ def tables_of(document: Document, most: int) -> dict[str, Table]:
             differing,
             "group, parameter, value, most have, away, adjusted p",
             "Groups that differ from the rest",
-            f"Of groups that are called different, {100 * document['rate']:.0f} % are not, on "
-            f"average." + further(sum(spread["differing_count"] for spread in spreads), differing),
+            f"Of groups that are called different, {in_percent(document['rate'], '.0f')} are "
+            f"not, on average."
+            + further(sum(spread["differing_count"] for spread in spreads), differing),
         ),
         "changes": table(
             changes,
             "recording, parameter, at / s, before, after",
             "Changes over time",
-            f"In {100 * ALARMS:.0f} % of courses without a step one is found."
+            f"In {in_percent(ALARMS, '.0f')} of courses without a step one is found."
             + further(document["changes_count"], changes),
         ),
         "left out": table(left_out, "recording or group, why", "Without an answer", numeric=False),

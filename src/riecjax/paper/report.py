@@ -7,7 +7,7 @@ import numpy as np
 from rich.console import Console
 
 from riecjax.findings import Finding
-from riecjax.leaves import finite, told
+from riecjax.leaves import finite, in_percent, told
 from riecjax.models.quarter_car import SPRING_RATE, quarter_car_source, reconstructed
 from riecjax.paper.claims import Claim
 from riecjax.paper.published import CRITERIA, TABLE_2, TABLE_6, VARIANTS, PublishedMode
@@ -229,7 +229,7 @@ def _summary(document: Document) -> Iterator[str]:
     cell = document["contact"]
     low, high = (100 * end for end in cell["interval95"])
     yield (
-        f"tyre in contact: published {100 * cell['published']:.0f} %, reproduced "
+        f"tyre in contact: published {in_percent(cell['published'], '.0f')}, reproduced "
         f"{100 * cell['reproduced']:.2f} % ({low:.2f} .. {high:.2f})"
     )
     for name, entry in document["summary"].items():

@@ -266,7 +266,7 @@ class IntegralResiduals(AbstractResiduals):
     def independent_rows(self) -> Float[Array, ""]:
         """As many as disjoint windows of the greatest length."""
         short = short_blocks(self.records, self.criterion)
-        window = xp.maximum(self.longest_window, xp.min(short.seconds))
+        window = xp.maximum(short.longest_window, xp.min(short.seconds))
         return len(self.models) * xp.sum(short.durations) / window
 
     def blocks(self, expansion: Expansion) -> tuple[NormalEquations, ShortBlocks]:
@@ -353,7 +353,6 @@ class IntegralError(AbstractObjective):
             table=table,
             start=start,
             count=np.array(rows).sum(axis=1),
-            longest_window=jnp.asarray(criterion.block_length),
             labels=told_apart([name for name, *_ in labels]),
             units=tuple(criterion.row_unit(unit) for _, unit, _ in labels),
         )

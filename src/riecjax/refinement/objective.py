@@ -203,7 +203,6 @@ class AbstractResiduals(eqx.Module):
       values of the free ones at which a search begins.
     - `labels`: quantities whose residuals are told one by one, channels or equations; their
       `units`.
-    - `longest_window`: seconds after which two residuals share no data.
     - `curved`: whether moments curve as what is made small does, or, for what searches for its
       least, as squares do; `None` where that is the same.
 
@@ -216,7 +215,6 @@ class AbstractResiduals(eqx.Module):
 
     table: ParameterTable
     start: Theta
-    longest_window: Float[Array, ""]
     labels: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] = eqx.field(static=True)
     initial: Initial = eqx.field(default_factory=lambda: np.zeros((1, 0)), kw_only=True)
@@ -338,7 +336,7 @@ class AbstractObjective(eqx.Module):
             )
         dtype = records[0].time_step.dtype
         numbers = {name: xp.asarray(values[name], dtype) for name in table.names}
-        table = table.holding({n: v for n, v in numbers.items() if n not in begun or n in fixed})
+        table = table.settled({n: v for n, v in numbers.items() if n not in begun or n in fixed})
         if not table.free:
             raise ModelError("every parameter is known; nothing is left to refine.")
         free = [numbers[name] for name in table.free]

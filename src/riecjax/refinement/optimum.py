@@ -560,7 +560,6 @@ def search(
         {},
         dict(zip(names, nowhere)),
         short,
-        residuals.longest_window,
         shared,
         intervals,
     )

@@ -254,7 +254,6 @@ class OutputResiduals(AbstractResiduals):
 
     `labels` are the channels; `estimated`, the places of the states whose initial values are
     estimated; `threshold` of Huber's loss by channel, in units of sigma, `None` for squares.
-    `longest_window` is 0: no residual counts twice.
     """
 
     system: ByFunction
@@ -485,7 +484,6 @@ class OutputError(AbstractObjective):
             start=start,
             sigma=sigma,
             initial=xp.concatenate([part.initial[:, places] for part in recorded]),
-            longest_window=xp.asarray(0.0, sigma.dtype),
             method=self.method or FixedStep(),
             threshold=threshold,
             curved=None if threshold is None else np.asarray(False),

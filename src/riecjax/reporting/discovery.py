@@ -13,7 +13,7 @@ from rich.console import Console
 from riecjax.discovery import Discovery, Step
 from riecjax.equations.hidden_elements import HiddenMode, accelerated
 from riecjax.findings import joined, option_for
-from riecjax.leaves import finite
+from riecjax.leaves import finite, in_percent
 from riecjax.reporting import Page, Section, Table, View, in_rich, print_table, say
 from riecjax.reporting.answer import Answer, part_of
 from riecjax.reporting.charts.chart import BLUE, GREY, Axis, Chart, Line, Panel, in_rows
@@ -181,7 +181,7 @@ def _noise(step: Step) -> str:
     share = 1 - left / step.unexplained if step.unexplained > 0 else 0.0
     if share < NOTABLE:
         return ""
-    return f", {'nearly all' if share > 1 - NOTABLE else f'{100 * share:.0f} %'} of it noise"
+    return f", {'nearly all' if share > 1 - NOTABLE else in_percent(share, '.0f')} of it noise"
 
 
 def path_table(found: Discovery) -> Table:
@@ -228,14 +228,14 @@ def choice_lines(found: Discovery) -> list[str]:
             width = f"{number(term.width, 4)}{error} {term.width_unit}"
             widths.append(f"{term.candidate.name} has the width {width}".rstrip())
     again = ", ".join(
-        f"{chosen.candidate.name} {100 * chosen.share:.0f} %"
+        f"{chosen.candidate.name} {in_percent(chosen.share, '.0f')}"
         for chosen in found.chosen
         if np.isfinite(chosen.share)
     )
     choice = ""
     if found.held_out:
         choice = (
-            f"Terms were chosen without the last {100 * found.held_out:.0f} % of each "
+            f"Terms were chosen without the last {in_percent(found.held_out, '.0f')} of each "
             f"recording, from which alone values and intervals are."
         )
     elif again and found.mode is None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.console import Console
 
+from riecjax.leaves import in_percent
 from riecjax.reporting import answer as parts
 from riecjax.reporting.answer import Answer
 from riecjax.reporting.document import number, percents
@@ -131,7 +132,7 @@ def modes_in_words(modes: Sequence[parts.ModePart]) -> Iterator[str]:
             f"hidden mode on {mode.on}: {' +- '.join(frequency)} Hz with the body at rest, "
             f"damping ratio {' +- '.join(ratio)}, in windows of {lengths}, which tell most of it. "
             f"Left of {mode.equation} on stretches that it was not found from: "
-            f"{100 * left:.2g} % with it, {percents(mode.held_out.without, '.2g')} % without."
+            f"{in_percent(left)} with it, {percents(mode.held_out.without, '.2g')} % without."
         )
         for stray in mode.strays:
             yield (
@@ -243,7 +244,7 @@ def noise_in_words(noise: Mapping[str, parts.NoisePart]) -> Iterator[str]:
     if shown:
         yield f"noise: {', '.join(shown)} of {noun}"
     elif noise:
-        yield f"noise: below {100 * LEAST_SHOWN:g} % of each signal's standard deviation"
+        yield f"noise: below {in_percent(LEAST_SHOWN, 'g')} of each signal's standard deviation"
 
 
 def plain_in_words(entry: Any) -> str:

@@ -18,7 +18,7 @@ from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.evidence import ModeEvidence, ModeTests
 from riecjax.estimation.hidden_modes import linearised
-from riecjax.leaves import TINY
+from riecjax.leaves import TINY, in_percent
 from riecjax.reporting.charts.chart import (
     BLACK,
     BLUE,
@@ -348,7 +348,7 @@ def spectra_figure(tests: ResidualTests) -> Chart:
 
 
 def _share(residual: EquationResidual) -> str:
-    return f"{100 * residual.relative_rms:.3g} % of the target"
+    return f"{in_percent(residual.error.relative_rms, '.3g')} of the target"
 
 
 def residual_figure(residual: EquationResidual) -> Chart:
@@ -365,11 +365,11 @@ def residual_figure(residual: EquationResidual) -> Chart:
             Line(times[shown], np.asarray(error.error)[shown], "error", RUST, width=THIN),
         ],
         Axis("time / s"),
-        Axis(labelled("target and error", residual.unit)),
+        Axis(labelled("target and error", residual.error.unit)),
         title=f"{residual.name}: error {_share(residual)}",
     )
     whole = np.where(np.asarray(error.present), np.asarray(error.impulse), np.nan)
-    unit = f"{residual.unit} s" if residual.unit else ""
+    unit = f"{residual.error.unit} s" if residual.error.unit else ""
     impulse = Panel(
         [Level(0), Line(times, whole, color=RUST, width=THIN)],
         Axis("time / s"),
@@ -414,13 +414,14 @@ def _following(follows: tuple[Correlation, ...]) -> Panel | None:
 
 def _spectra(residual: EquationResidual) -> Panel:
     spectrum, peak = residual.spectrum, residual.peak
-    (target, error), axes = _target_and_error(spectrum, residual.unit)
+    (target, error), axes = _target_and_error(spectrum, residual.error.unit)
     explained = Line(target.x, _positive(spectrum.explained), "explained", BLUE, "dashed")
     ends = Level(spectrum.band, "x", "the signals' power ends", BLACK, "dotted")
     marks: list[Line | Span | Level] = [ends, target, explained, error]
     if peak is not None:
-        share = f"peak near {peak.frequency:.3g} Hz: {100 * peak.share:.0f} % of the power in it"
-        marks.insert(0, Span(peak.low, peak.high, label=share, color=RUST, opacity=FAINT))
+        share = in_percent(peak.share, ".0f")
+        label = f"peak near {peak.frequency:.3g} Hz: {share} of the power in it"
+        marks.insert(0, Span(peak.low, peak.high, label=label, color=RUST, opacity=FAINT))
     return Panel(marks, *axes, columns=2)
 
 

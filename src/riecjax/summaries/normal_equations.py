@@ -251,11 +251,13 @@ class ShortBlocks(NamedTuple):
     """The blocks of start times that normal equations are kept for.
 
     **Fields:** `number` of blocks that hold each record, of the same or a longer axis of an
-    array; `seconds` that a block of each record lasts.
+    array; `seconds` that a block of each record lasts; `longest_window`, seconds after which two
+    rows share no data, 0 where none counts twice.
     """
 
     number: Int[Leaf, " records"]
     seconds: Float[Leaf, " records"]
+    longest_window: Leaf | float = 0.0
 
     @property
     def durations(self) -> Float[Leaf, " records"]:
@@ -302,6 +304,7 @@ def short_blocks(records: Sequence[Record], criterion: AbstractCriterion) -> Sho
     return ShortBlocks(
         np.array([-(-record.sample_count // k) for record, k in zip(records, samples)]),
         xp.stack([xp.multiply(k, record.time_step) for record, k in zip(records, samples)]),
+        criterion.block_length,
     )
 
 

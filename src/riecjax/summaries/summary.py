@@ -314,6 +314,7 @@ class Summary(PlainMethods, Shown, eqx.Module):
         return ShortBlocks(
             xp.stack([xp.asarray(one.blocks) for one in self.recordings]),
             xp.stack([xp.asarray(one.block_seconds) for one in self.recordings]),
+            self.criterion.block_length,
         )
 
     def equations(self, band: tuple[int, int] | None = None) -> list[list[NormalEquations]]:

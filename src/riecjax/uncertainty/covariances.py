@@ -51,9 +51,7 @@ SILENT = 5
 which is more for any n."""
 
 
-def block_length(
-    short: ShortBlocks, longest_window: Float[Array, ""], correlated: Float[Array, " p"]
-) -> Float[Array, ""]:
+def block_length(short: ShortBlocks, correlated: Float[Array, " p"]) -> Float[Array, ""]:
     """Seconds to a block: the rule that intervals rest on.
 
     The longest that Politis and White's rule finds for any parameter (`correlated`, see
@@ -61,9 +59,9 @@ def block_length(
     block's windows reaches into the next. Where the records would be fewer than twenty such blocks
     it is shortened to that, but never below twice the longest window.
     """
-    wanted = xp.maximum(LONGEST_WINDOWS * longest_window, xp.max(correlated))
+    wanted = xp.maximum(LONGEST_WINDOWS * short.longest_window, xp.max(correlated))
     room = xp.sum(short.durations) / ENOUGH_BLOCKS
-    shortest = xp.maximum(FEWEST_WINDOWS * longest_window, xp.min(short.seconds))
+    shortest = xp.maximum(FEWEST_WINDOWS * short.longest_window, xp.min(short.seconds))
     return xp.maximum(xp.minimum(wanted, room), shortest)
 
 
@@ -220,7 +218,6 @@ def block_statistics(
     known: Mapping[str, Array],
     values: Mapping[str, Array],
     short: ShortBlocks,
-    longest_window: Float[Array, ""],
     ridge: float = 0.0,
 ) -> BlockStatistics:
     """Statistics of blocks whose length is chosen from the short blocks' influence.
@@ -231,7 +228,7 @@ def block_statistics(
     unknowns = unknowns_of(stages, known)
     scored, slopes = scores(stages, unknowns, values), slope(stages, unknowns)
     influence = influence_of(scored, slopes.sum((0, 1)), ridge)
-    length = block_length(short, longest_window, politis_white(influence, short))
+    length = block_length(short, politis_white(influence, short))
     used = blocks_in_use(short, length)
     named = dict(values)
     return BlockStatistics(
@@ -316,6 +313,8 @@ def block_influence(
 
 LEVEL = 0.01
 """Level of the test of whether recordings disagree."""
+TAIL = 0.025
+"""Probability beyond either end of an interval, by which tails are compared."""
 
 
 def jackknife_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
@@ -326,7 +325,7 @@ def jackknife_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
     """
     used, whole = statistics.used, statistics.slope
     scale = unit_scale(xp.diagonal(whole))
-    least = 1e4 * xp.finfo(scale.dtype).eps
+    least = xp.finfo(scale.dtype).eps ** 0.5
 
     # Solved for the change itself: without the block, the scores at the estimate sum to minus its
     # own, and nothing is lost by subtracting two estimates that agree in most of their digits.
@@ -427,7 +426,7 @@ def record_inflation(
     between = count / (count - 1) * xp.sum(moved**2, axis=0)
     pooled = xp.sum(influence**2, axis=(0, 1))
     known = pooled > 0
-    student = float(tails.student(0.025, count - 1)) / tails.normal(0.025)
+    student = float(tails.student(TAIL, count - 1)) / tails.normal(TAIL)
     factor = student * xp.sqrt(between / xp.where(known, pooled, 1.0))
     return xp.where(disagree & known, xp.maximum(factor, 1.0), 1.0)
 
@@ -626,11 +625,7 @@ def drawn_counts(
     number, most = used[None, :, None], most_used(used)
     drawn, place = drawn[..., :most], np.arange(most)[None, None]
     block = xp.minimum((drawn * number.astype(drawn.dtype)).astype(np.int32), number - 1)
-    if not xp.are_traced((drawn, used)):
-        row = np.arange(block[..., 0].size).reshape(*block.shape[:-1], 1)
-        every = (row * most + block)[np.broadcast_to(place < number, block.shape)]
-        return np.bincount(every, minlength=block.size).reshape(block.shape)
-    # Eight bits hold them all, and four times as many are compared at once.
-    asked = xp.where(place < number, block, -1).astype(np.int8)
-    same = asked[..., None] == place.astype(np.int8)[..., None, :]
-    return same.sum(axis=-2, dtype=np.int8).astype(np.int32)
+    row = np.arange(block[..., 0].size).reshape(*block.shape[:-1], 1)
+    # Behind the counts stands one of draws that no block is left for.
+    every = xp.where(place < number, row * most + block, block.size)
+    return xp.with_added(np.zeros(block.size + 1, np.int32), every, 1)[:-1].reshape(block.shape)

@@ -20,6 +20,7 @@ from riecjax.errors import ModelError, require
 from riecjax.leaves import is_number
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.uncertainty.covariances import (
+    TAIL,
     BlockStatistics,
     block_statistics,
     effective_freedom,
@@ -201,7 +202,7 @@ class Naive(AbstractIntervals):
         return Uncertainty(
             naive_covariance(statistics),
             None,
-            np.full(count, 1e9),
+            np.full(count, np.inf),
             np.zeros(count, bool),
             np.ones(count),
             "least squares as if all windows were independent (far too narrow)",
@@ -251,8 +252,8 @@ def with_few_blocks(
     if studentized is not None:
         sizes = xp.abs(studentized)
         some = xp.any(xp.isfinite(sizes), axis=0)
-        reach = xp.nanquantile(xp.where(some[None, :], sizes, 0.0), 0.95, axis=0)
-        reach = xp.where(some, reach, np.nan) / tails.normal(0.025)
+        reach = xp.nanquantile(xp.where(some[None, :], sizes, 0.0), 1 - 2 * TAIL, axis=0)
+        reach = xp.where(some, reach, np.nan) / tails.normal(TAIL)
         times = reach * xp.sqrt(variance / xp.where(other > 0, other, 1.0))
         few = few | (times > FARTHEST) | (times < NEAREST)
     # Of what only a bound or a prior tells, no block moves anything.
@@ -276,7 +277,6 @@ def estimate_uncertainty(
     known: Mapping[str, Array],
     values: Mapping[str, Array],
     short: ShortBlocks,
-    longest_window: Float[Array, ""],
     shared: Bool[np.ndarray, " p"],
     intervals: AbstractIntervals,
 ) -> tuple[Uncertainty, Float[Array, " p"], BlockStatistics]:
@@ -288,7 +288,7 @@ def estimate_uncertainty(
     **Returns:** the uncertainty, inflated where records disagree; by which factor on standard
     errors; and the block statistics that it rests on.
     """
-    statistics = block_statistics(stages, known, values, short, longest_window)
+    statistics = block_statistics(stages, known, values, short)
     per_record = statistics.influence.reshape(short.number.shape[0], -1, len(statistics.estimate))
     inflation = xp.where(shared, record_inflation(per_record, statistics.used), 1.0)
     uncertainty = intervals.uncertainty(statistics)

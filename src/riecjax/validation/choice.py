@@ -23,18 +23,17 @@ from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
-from riecjax.errors import ModelError, require
+from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.records.record import Records, as_records
 from riecjax.validation.equation_errors import EquationError, errors_over_records, joined
 from riecjax.validation.residuals import ErrorSpectrum, error_spectrum
+from riecjax.validation.sweep import FEWEST_SAMPLES
 
 PARTS = 8
 """A segment of the spectra is this part of the records: long, for the sake of long windows."""
 LENGTHS = 80
-FEWEST_SAMPLES = 4
-"""Samples of the shortest window."""
 WITHIN = 1.5
 """Factor above its least to which the error's share may rise in the recommended range."""
 NEGLIGIBLE = 0.01
@@ -119,7 +118,6 @@ def window_choice(
     estimate: Estimate | Mapping[str, float | Array],
     *,
     windows: AbstractWindows | None = None,
-    test_function: AbstractTestFunction | None = None,
     errors: list[list[EquationError]] | None = None,
 ) -> WindowChoice:
     """Predict the share of error at every window length, and recommend a range (not under jit).
@@ -129,21 +127,19 @@ def window_choice(
     share of error is not the same as a small bias; [`window_sweep`][] shows how estimates move.
 
     **Arguments:** `estimate`: or parameter name to value, and then `windows`, whose law is the
-    current one. `test_function`: the estimate's by default, or the boxcar. `errors` of each
-    equation on each record, from [`errors_over_records`][], if they are known.
+    current one, under the boxcar. `errors` of each equation on each record, from
+    [`errors_over_records`][], if they are known.
 
-    **Raises:** `ModelError` without windows, for a parameter without a value or for what is no test
-    function; `DataError` for an absent signal or records of unequal time steps.
+    **Raises:** `ModelError` without windows, or for a parameter without a value; `DataError` for an
+    absent signal or records of unequal time steps.
     """
     recordings = as_records(records)
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
+    weight: AbstractTestFunction = Boxcar()
     if isinstance(estimate, Estimate) and estimate.criterion is not None:
-        windows = windows or estimate.criterion.windows
-        test_function = test_function or estimate.criterion.test_function
+        windows, weight = windows or estimate.criterion.windows, estimate.criterion.test_function
     if windows is None:
         raise ModelError("a choice of windows needs some to start from: windows=AllWindows(...).")
-    weight = test_function or Boxcar()
-    require("the test function", weight, AbstractTestFunction, "rx.Hat(), an object")
     alpha, beta = float(windows.alpha), float(windows.beta)
     if errors is None:
         errors = errors_over_records(model, recordings, values)

@@ -35,6 +35,7 @@ from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model, as_model, told_apart
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
+from riecjax.leaves import in_percent
 from riecjax.records.record import Records, as_records
 from riecjax.shows import Drawn
 from riecjax.validation.equation_errors import (
@@ -394,8 +395,6 @@ BLOCKS_TO_STRETCH = 5
 """Blocks to a stretch at least, whose scatter separates chance from change."""
 MOST_STRETCHES = 8
 FEWEST_STRETCHES = 3
-BATCH = 2**20
-"""Samples of blocks that are looked at together."""
 SILENT = 1e-6
 """Mean square relative to the loudest block's below which a block is just silent."""
 
@@ -507,13 +506,12 @@ def _rises(
     """
     mean, square = np.zeros(starts.size), np.zeros(starts.size)
     windows = int(np.sum(length + 1 - lags))
-    for some in np.array_split(np.arange(starts.size), max(starts.size * length // BATCH, 1)):
-        blocks = values[starts[some, None] + np.arange(length)]
-        running = np.pad(np.cumsum(blocks, axis=1), [(0, 0), (1, 0)])
-        for lag in lags:
-            rises = running[:, lag:] - running[:, :-lag]
-            mean[some] += rises.sum(1) / windows
-            square[some] += np.einsum("ij,ij->i", rises, rises) / windows
+    blocks = values[starts[:, None] + np.arange(length)]
+    running = np.pad(np.cumsum(blocks, axis=1), [(0, 0), (1, 0)])
+    for lag in lags:
+        rises = running[:, lag:] - running[:, :-lag]
+        mean += rises.sum(1) / windows
+        square += np.einsum("ij,ij->i", rises, rises) / windows
     return mean, square
 
 
@@ -539,9 +537,7 @@ class EquationResidual(NamedTuple):
 
     **Fields:**
 
-    - `name` and `unit` of the equation; `relative_rms`: its error, sample by sample, relative to
-      its target.
-    - `error`: over all records, see `joined`.
+    - `name` of the equation, unlike that of others; its `error` over all records, see `joined`.
     - `autocorrelation` of the error.
     - `follows`: correlation with each signal that all records hold, strongest first. Error and
       signals are averaged over half a period of the fastest motion in the model's band, or half
@@ -560,8 +556,6 @@ class EquationResidual(NamedTuple):
     """
 
     name: str
-    unit: str
-    relative_rms: float
     error: EquationError
     autocorrelation: Correlation
     follows: tuple[Correlation, ...]
@@ -584,10 +578,10 @@ class EquationResidual(NamedTuple):
             if (peak := self.peak) is not None and peak.size >= NOTABLE_SIZE:
                 said = (
                     f"{self.name}: the equation error peaks near {peak.frequency:.3g} Hz, and "
-                    f"{100 * peak.share:.0f} % of its power up to {self.spectrum.band:.3g} Hz lies "
-                    f"from {peak.low:.3g} to {peak.high:.3g} Hz: the model leaves out a mode "
-                    f"there, or gets one wrong. {self._add()}, or use windows longer than "
-                    f"{1 / peak.frequency:.2g} s, over which it averages out."
+                    f"{in_percent(peak.share, '.0f')} of its power up to "
+                    f"{self.spectrum.band:.3g} Hz lies from {peak.low:.3g} to {peak.high:.3g} Hz: "
+                    f"the model leaves out a mode there, or gets one wrong. {self._add()}, or use "
+                    f"windows longer than {1 / peak.frequency:.2g} s, over which it averages out."
                 )
                 made.append(Finding("unmodelled_mode", said))
             made += self._following()
@@ -633,8 +627,8 @@ class EquationResidual(NamedTuple):
             yield Finding(
                 "residual_follows_signal",
                 f"{self.name}: what the model leaves follows {first.signal}{late} (correlation "
-                f"{first.largest:.2f}), by {100 * size * self.averaged_size:.3g} % of the target: "
-                f"{cause}",
+                f"{first.largest:.2f}), by {in_percent(size * self.averaged_size, '.3g')} of the "
+                f"target: {cause}",
                 (first.signal,),
             )
 
@@ -683,7 +677,7 @@ class EquationResidual(NamedTuple):
         """Numbers of the tests, without the series, as plain data for JSON."""
         windows = self.windows
         return {
-            "relative_rms": self.relative_rms,
+            "relative_rms": float(self.error.relative_rms),
             "correlation_time_s": self.autocorrelation.correlation_time,
             "integrated_autocorrelation_s": self.autocorrelation.integrated,
             "follows": [
@@ -746,18 +740,18 @@ def residual_tests(
     estimate: Estimate | Mapping[str, float | Array],
     *,
     windows: AbstractWindows | None = None,
-    lags: int | None = None,
     errors: list[list[EquationError]] | None = None,
     faults: Sequence[Finding] = (),
 ) -> ResidualTests:
     """Test what an identified model leaves unexplained (not under jit).
 
+    Correlations are looked at up to the longest window or else 50 samples, no more than 400 and a
+    tenth of the records.
+
     **Arguments:**
 
     - `estimate`: of these records or of others; or parameter name to value.
     - `windows`: whose errors eq. (18) is tested on; by default those of the estimate.
-    - `lags`: longest lag of correlations in samples; by default the longest window or else 50
-      samples, no more than 400 and a tenth of the records.
     - `errors` of each equation on each record, from [`errors_over_records`][], if they are known.
     - `faults` of sensors that explain what is left where their signals are read.
 
@@ -771,11 +765,10 @@ def residual_tests(
         windows = estimate.criterion.windows
     if errors is None:
         errors = errors_over_records(model, recordings, values)
-    if lags is None:
-        samples = sum(record.sample_count for record in recordings)
-        step = float(recordings[0].time_step)
-        wanted = LAGS if windows is None else round(float(windows.beta) / step)
-        lags = max(min(wanted, MOST_LAGS, samples // LARGEST_LAG_SHARE), 1)
+    samples = sum(record.sample_count for record in recordings)
+    step = float(recordings[0].time_step)
+    wanted = LAGS if windows is None else round(float(windows.beta) / step)
+    lags = max(min(wanted, MOST_LAGS, samples // LARGEST_LAG_SHARE), 1)
     names = told_apart([of_equation[0].name for of_equation in errors])
     first = recordings[0]
     reads = [e.signals_read(first, of[0].span) for e, of in zip(model.equations, errors)]
@@ -810,8 +803,6 @@ def residual_tests(
         free = {name: t for name, t in elements.items() if not sprung & {*t.parameters}}
         residual = EquationResidual(
             name,
-            error.unit,
-            float(error.relative_rms),
             error,
             autocorrelation(error.series, lags, step),
             tuple(sorted(follows, key=lambda one: -abs(one.largest))),

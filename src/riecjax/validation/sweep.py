@@ -22,7 +22,7 @@ from riecjax.errors import DataError, require
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.stages import solve_stages, stages_over_records
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf, finite, told
+from riecjax.leaves import Leaf, finite, in_percent, size_of, told
 from riecjax.records.record import Record, Records
 from riecjax.shows import Drawn
 from riecjax.summaries.normal_equations import (
@@ -34,6 +34,7 @@ from riecjax.summaries.normal_equations import (
 from riecjax.summaries.summarise import ready, summed, task
 from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.covariances import block_influence
+from riecjax.validation.residuals import LEVEL
 
 # How estimates at two lengths are compared. Near the solution an estimate is a sum over blocks of
 # time, theta = theta_0 + sum_b d_b with the influence d_b = G^-1 A_b' e_b of each block (G the Gram
@@ -47,7 +48,6 @@ from riecjax.uncertainty.covariances import block_influence
 
 SMALLEST_DRIFT = 0.005
 """Share of a parameter below which a drift does not matter."""
-LEVEL = 0.05
 STEADY = 0.01
 """Share within which estimates at neighbouring lengths are called steady."""
 MOST = 0.5
@@ -163,18 +163,18 @@ class WindowSweep(Drawn, eqx.Module):
             f"{first} goes from {float(theta[low]):.4g} with windows of {self._band(low)} to "
             f"{float(theta[high]):.4g}{f' {unit}' if unit else ''} with {self._band(high)}"
         )
-        listed = ", ".join(f"{name} by {100 * shares[name]:.2g} %" for name in others)
+        listed = ", ".join(f"{name} by {in_percent(shares[name])}" for name in others)
         if others:
             course += f"; so do{'es' if len(others) == 1 else ''} {listed}"
-        steadiness = f"At no two lengths do estimates agree to {100 * STEADY:g} %"
+        steadiness = f"At no two lengths do estimates agree to {in_percent(STEADY, 'g')}"
         if (steady := self.steady(names)) is not None:
             shortest, longest = steady
             steadiness = (
                 f"In windows of {shortest:.3g} to {longest:.3g} s all are steady to "
-                f"{100 * STEADY:g} %"
+                f"{in_percent(STEADY, 'g')}"
             )
         share = self.noise_share(first)
-        cause = f"Noise makes {100 * share:.0f} % of what the shorter ones leave"
+        cause = f"Noise makes {in_percent(share, '.0f')} of what the shorter ones leave"
         if share <= MOST:
             makes = f"{cause}: the" if share > SMALL_NOISE else "The"
             cause = f"{makes} model leaves something out"
@@ -229,14 +229,14 @@ class WindowSweep(Drawn, eqx.Module):
         """
         band = min(self._range(name)[:2])
         left, noise = np.asarray(self.relative_rms[band]), np.asarray(self.noise_rms[band])
-        return min(float(np.sum(noise**2) / max(np.sum(left**2), 1e-300)), 1.0)
+        return min(float(np.sum(noise**2)) / size_of(np.sum(left**2)), 1.0)
 
     def _band(self, index: int) -> str:
         return f"{float(self.alpha[index]):.3g} to {float(self.beta[index]):.3g} s"
 
 
 FEWEST_SAMPLES = 4
-"""Samples that the shortest window of a sweep spans at least."""
+"""Samples that the shortest window spans at least."""
 FEWEST_STRETCHES = 10
 """Longest windows that the records hold at least, end to end."""
 SHARE_OF_BLOCKS = 0.5
@@ -254,21 +254,18 @@ def window_sweep(
     key: Key[Array, ""] | None = None,
     known: Mapping[str, float | Array] | None = None,
     per_record: Sequence[str] = (),
-    shortest: float | None = None,
-    longest: float | None = None,
     bands: int = 10,
 ) -> WindowSweep:
     """Estimate a model's parameters again and again, with windows from short to long.
 
-    Not under jit. Each band spans two bins of window lengths, about an octave, and shares one
-    with the next. All windows of a band count, also where the criterion draws some.
+    From the criterion's alpha, at least four samples, to twice its beta, at most a tenth of all
+    records together. Not under jit. Each band spans two bins of window lengths, about an octave,
+    and shares one with the next. All windows of a band count, also where the criterion draws some.
 
     **Arguments:** as for [`identify`][], and
 
     - `records`: or a [`Summary`][] with bins of window lengths, from which no sample is read;
-      `criterion` and what follows `per_record` are then those it was made with.
-    - `shortest`, `longest`: ends of the sweep in seconds; by default the criterion's alpha, at
-      least four samples, to twice its beta, at most a tenth of all records together.
+      `criterion` and `bands` are then those it was made with.
     - `bands`: number of lengths, give or take one.
 
     **Raises:** as `identify`, and `DataError` if the records are too short for any sweep.
@@ -283,20 +280,12 @@ def window_sweep(
         )
         assert isinstance(criterion, RIEC)
         asked = task(model, ready(model, records), criterion.every, key)
-        edges = sweep_edges(
-            asked.records, criterion, shortest=shortest, longest=longest, bands=bands
-        )
-        summary = summed(asked, bins=edges)
+        summary = summed(asked, bins=sweep_edges(asked.records, criterion, bands=bands))
     table = plan_parameters(model, len(summary.recordings), known, per_record)
-    return sweep_of_sums(summary, table, shortest, longest)
+    return sweep_of_sums(summary, table)
 
 
-def sweep_of_sums(
-    summary: Summary,
-    table: ParameterTable,
-    shortest: float | None = None,
-    longest: float | None = None,
-) -> WindowSweep:
+def sweep_of_sums(summary: Summary, table: ParameterTable) -> WindowSweep:
     """[`window_sweep`][] of what a table of parameters says, from sums in bins of window lengths.
 
     **Raises:** as it does.
@@ -310,8 +299,9 @@ def sweep_of_sums(
         )
     lengths = [(float(r.time_step), int(r.samples)) for r in summary.recordings]
     law = summary.criterion.between(bins.edges[bins.band[0]], bins.edges[bins.band[1]])
-    low, high = _reach(lengths, law, shortest, longest)
-    inside = (bins.edges[:-1] > low * (1 - 1e-9)) & (bins.edges[1:] < high * (1 + 1e-9))
+    low, high = _reach(lengths, law)
+    slack = 1 + 1e-9
+    inside = (bins.edges[:-1] * slack > low) & (bins.edges[1:] < high * slack)
     pairs = [(i, i + 2) for i in range(inside.size - 1) if inside[i] and inside[i + 1]]
     if len(pairs) < 2:
         raise DataError(
@@ -339,19 +329,18 @@ def sweep_edges(
     records: Sequence[Record],
     criterion: AbstractCriterion,
     *,
-    shortest: float | None = None,
     longest: float | None = None,
     bands: int = 10,
 ) -> Float[np.ndarray, " edges"]:
     """Edges of bins of window lengths in seconds that serve a sweep and the criterion's own band.
 
     Alpha and beta are among them: the lengths between them, below and above are each cut in
-    equal ratios.
+    equal ratios, up to the `longest` if that is given.
 
     **Raises:** `DataError` if the records are too short for any sweep.
     """
     lengths = [(float(r.time_step), r.sample_count) for r in records]
-    low, high = _reach(lengths, criterion, shortest, longest)
+    low, high = _reach(lengths, criterion, longest)
     windows = criterion.windows
     assert windows is not None
     ratio = np.log(high / low) / (bands + 1)
@@ -367,8 +356,7 @@ def sweep_edges(
 def _reach(
     records: list[tuple[float, int]],
     criterion: AbstractCriterion,
-    shortest: float | None,
-    longest: float | None,
+    longest: float | None = None,
 ) -> tuple[float, float]:
     """Ends of a sweep in seconds, for records of a time step in seconds and a number of samples."""
     windows = criterion.windows
@@ -377,7 +365,6 @@ def _reach(
     durations = [step * (samples - 1) for step, samples in records]
     low = max(float(windows.alpha), criterion.smoothness * FEWEST_SAMPLES * coarsest)
     high = min(LONGER * float(windows.beta), sum(durations) / FEWEST_STRETCHES, min(durations) / 2)
-    low = low if shortest is None else shortest
     high = high if longest is None else longest
     if not 0 < low < high / 2:
         raise DataError(
@@ -403,6 +390,6 @@ def _estimates(
         np.concatenate([stage.solution.theta for stage in solutions]),
         block_influence(stages, table.known, values),
         np.array([stage.relative_rms for stage in solutions]),
-        np.array([stage.equations[0].noise_rms for stage in solutions]),
+        np.array([stage.noise_rms for stage in solutions]),
         np.min([np.sum(stage.count > 0) for stage in stages]),
     )

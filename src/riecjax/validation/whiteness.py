@@ -38,41 +38,48 @@ VANISHING = 1e-6
 """Residual as a share of its signal below which it is the arithmetic's, and no test is made."""
 DIFFUSE = 1e6
 """Initial state that is allowed for before any residual was seen, in units of what moves one by its
-size."""
-DETERMINING = 1e4
-"""Variance of a residual, in units of its noise's, from which it rather determines that state."""
+size; a residual with a variance of as many units of its noise's rather determines that state."""
 FEWEST_RESIDUALS = 3 * LAGS
 MANY_SAMPLES = 2000
 """Samples of a window in which an initial state takes nothing that shows."""
 
 
-class Whiteness(NamedTuple):
-    """What the residuals of a refinement by output error look like beside white noise.
+class ChannelWhiteness(NamedTuple):
+    """What the residuals of one channel look like.
 
     **Fields:**
 
-    - `statistics`: Q / 20 of each channel, the largest of all recordings, about 1 of white noise.
-    - `threshold`: value that the largest of them exceeds with a probability of 1 %.
-    - `chi_squared`: mean square of each channel's residuals in units of its sensor's noise, as the
-      recording tells it; NaN where it tells of none.
-    - `shares`: root mean square of each channel's residuals as a share of the channel's deviation.
+    - `statistic`: Q / 20, the largest of all recordings, about 1 of white noise.
+    - `chi_squared`: mean square in units of the sensor's noise, as the recording tells it; NaN
+      where it tells of none.
+    - `share`: root mean square as a share of the channel's deviation.
     """
 
-    statistics: Mapping[str, float]
+    statistic: float
+    chi_squared: float
+    share: float
+
+
+class Whiteness(NamedTuple):
+    """What the residuals of a refinement by output error look like beside white noise.
+
+    **Fields:** `channels` by name; `threshold`, value that the largest of their statistics exceeds
+    with a probability of 1 %.
+    """
+
+    channels: Mapping[str, ChannelWhiteness]
     threshold: float
-    chi_squared: Mapping[str, float]
-    shares: Mapping[str, float]
 
     @property
     def largest(self) -> float:
         """The largest statistic; NaN if there are too few residuals for any."""
-        found = [value for value in self.statistics.values() if value == value]
-        return max(found, default=float("nan"))
+        statistics = (channel.statistic for channel in self.channels.values())
+        return max((value for value in statistics if value == value), default=float("nan"))
 
     @property
     def vanishing(self) -> bool:
         """Whether the model follows every channel to a millionth."""
-        return all(share < VANISHING for share in self.shares.values())
+        return all(channel.share < VANISHING for channel in self.channels.values())
 
     @property
     def white(self) -> bool:
@@ -83,14 +90,7 @@ class Whiteness(NamedTuple):
         """All of it, as plain data for JSON."""
         return {
             **told(self, "white", "vanishing", "largest", "threshold"),
-            "channels": {
-                name: {
-                    "statistic": finite(statistic),
-                    "chi_squared": finite(self.chi_squared[name]),
-                    "share": finite(self.shares[name]),
-                }
-                for name, statistic in self.statistics.items()
-            },
+            "channels": {name: finite(each._asdict()) for name, each in self.channels.items()},
         }
 
 
@@ -123,7 +123,7 @@ def whiteness(refined: Estimate, records: list[Record]) -> Whiteness | None:
             )
         )
     sigma, levels = np.asarray(residuals.sigma), np.asarray(noise_levels(records, residuals.labels))
-    statistics, chi_squared, shares = {}, {}, {}
+    channels: dict[str, ChannelWhiteness] = {}
     for j, name in enumerate(residuals.labels):
         tests = []
         for values, present, part in zip(series, masks, residuals.recorded):
@@ -134,14 +134,15 @@ def whiteness(refined: Estimate, records: list[Record]) -> Whiteness | None:
             in_time = np.full(length, np.nan)
             in_time[place] = values[present]
             tests.append(ljung_box(in_time))
-        statistics[name] = max((t for t in tests if t == t), default=float("nan")) / LAGS
-        rms, level = float(size[j] * sigma[j]), float(levels[j])
-        chi_squared[name] = (rms / level) ** 2 if level > 0 else float("nan")
-        spread = deviation(records, name)
-        shares[name] = rms / spread if spread > 0 else float("nan")
+        rms, level, spread = float(size[j] * sigma[j]), float(levels[j]), deviation(records, name)
+        channels[name] = ChannelWhiteness(
+            max((t for t in tests if t == t), default=float("nan")) / LAGS,
+            (rms / level) ** 2 if level > 0 else float("nan"),
+            rms / spread if spread > 0 else float("nan"),
+        )
     tests = len(residuals.labels) * len(residuals.recorded)
     threshold = tails.chi_square(LEVEL / tests, LAGS) / LAGS
-    return Whiteness(statistics, threshold, chi_squared, shares)
+    return Whiteness(channels, threshold)
 
 
 def ljung_box(series: Float[np.ndarray, " n"]) -> float:
@@ -178,7 +179,7 @@ def innovations(
             variance = 1 + np.einsum("ws,ws->w", h, gain)
             error = left[:, i, j] - np.einsum("ws,ws->w", h, state)
             found[:, i, j] = error / np.sqrt(variance)
-            kept[:, i, j] = here & (variance < DETERMINING)
+            kept[:, i, j] = here & (variance < DIFFUSE)
             gain = np.where(here, 1 / variance, 0.0)[:, None] * gain
             state = state + gain * error[:, None]
             spread = spread - gain[:, :, None] * np.einsum("wst,wt->ws", spread, h)[:, None, :]
