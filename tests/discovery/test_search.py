@@ -200,7 +200,7 @@ def test_chance_is_uniform_of_columns_that_explain_nothing(decay):
     for _ in range(1000):
         columns = size * rng.standard_normal((400, 3))
         target = columns[:, 0] + 0.3 * rng.standard_normal(400)
-        chances.append(folds_of(np.column_stack([target, columns]), 20).chances(("a", "b"))[1])
+        chances.append(folds_of(np.column_stack([target, columns]), 20).told("ab", "b").chance)
     # Where energy is in few folds the larger of two variances is taken, which is cautious.
     assert np.mean(np.less(chances, 0.05)) < 0.075
     assert np.mean(np.less(chances, 0.001)) < 0.005

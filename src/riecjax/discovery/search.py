@@ -98,7 +98,6 @@ class Search:
 
     def __post_init__(self):
         self._alone = self.folds.left(self.kept)
-        self._chances: dict[tuple[str, ...], dict[str, float]] = {}
         self._offer(self.every)
         # What repeats the columns that are kept cannot be told apart from these.
         apart = np.isfinite(self.beside([[]])[0].motion[:-1, 0])
@@ -146,9 +145,7 @@ class Search:
     def chance(self, chosen: Sequence[Candidate], offer: Candidate) -> float:
         """That a candidate which explains nothing stands out as much, any one of all."""
         names = self.names(chosen)
-        if names not in self._chances:
-            self._chances[names] = dict(zip(names, self.folds.chances(names).tolist()))
-        each = min(self._chances[names][column] for column in offer.columns)
+        each = min(self.folds.told(names, column).chance for column in offer.columns)
         return min(each * len(offer.columns) * max(len(self.offers), 1), 1.0)
 
     def found(self) -> list[Candidate]:

@@ -25,12 +25,10 @@ from riecjax import tails
 from riecjax.doubts.causes import LEVEL
 from riecjax.doubts.columns import Asked, Doubt, folds_of, longest_delay
 from riecjax.errors import DataError
-from riecjax.findings import option_for
 from riecjax.folds import Folds, Told, solved
 from riecjax.records.preparation.filtering import unfilter
 from riecjax.records.preparation.resampling import shift
 from riecjax.records.record import Record
-from riecjax.records.time_base import PPM
 
 TURNS = 8
 """Times that a delay is undone and taken again at the most."""
@@ -45,19 +43,17 @@ TURN = 1.0
 class Settled(NamedTuple):
     """How much of a doubt there is, once that is undone.
 
-    **Fields:** `signals`; `size` in the unit of its column, seconds of a delay, or of the time
-    constant of a first-order low-pass where it is `low_passed`; standard `error` and `reach`, half
-    an interval at the level of an answer; `left` beyond noise and `noise`, as shares of the
-    target's energy; `values` of parameters by stage and name; seconds between samples, `step`;
-    whether delay and low-pass are told apart for `certain`.
+    **Fields:** `size` in the unit of its column, seconds of a delay, or of the time constant of a
+    first-order low-pass where it is `low_passed`; standard `error` and `reach`, half an interval at
+    the level of an answer; what is `left` beyond noise, as a share of the target's energy; `values`
+    of parameters by stage and name; seconds between samples, `step`; whether delay and low-pass are
+    told apart for `certain`.
     """
 
-    signals: tuple[str, ...]
     size: float
     error: float
     reach: float
     left: float
-    noise: float
     values: dict[str, float]
     step: float
     low_passed: bool = False
@@ -91,10 +87,8 @@ def settled(
         if not (np.isfinite(told.value) and np.isfinite(told.error)):
             return None
         if abs(told.value) <= max(SETTLED * told.error, 1e-9 * most) or turn == TURNS - 1:
-            left = folds.left(names)
-            energies = float(left.motion.sum()), float(left.samples.sum())
-            found = settled_at(doubt, size, told, folds, names, energies, step)
-            return found._replace(low_passed=lagged)
+            left = float(folds.left(names).motion.sum())
+            return settled_at(size, told, folds, names, left, step)._replace(low_passed=lagged)
         asked = asked.with_values(
             dict(zip((*names, doubt.name), folds.fitted((*names, doubt.name))))
         )
@@ -105,21 +99,13 @@ def settled(
 
 
 def settled_at(
-    doubt: Doubt,
-    size: float,
-    told: Told,
-    folds: Folds,
-    names: Sequence[str],
-    left: tuple[float, float],
-    step: float,
+    size: float, told: Told, folds: Folds, names: Sequence[str], left: float, step: float
 ) -> Settled:
     """So much of a doubt, of which a column was `told` beside those of these names, which leave
-    energies of the motion and of the samples."""
+    an energy of the motion."""
     values = dict(zip(names, folds.fitted(names).tolist()))
     reach = float(tails.student(LEVEL / 2, told.freedom)) * told.error
-    motion, samples = (energy / folds.energy for energy in left)
-    noise = max(samples - motion, 0.0)
-    return Settled(doubt.signals, size, told.error, reach, motion, noise, values, step)
+    return Settled(size, told.error, reach, left / folds.energy, values, step)
 
 
 def low_pass_of(asked: Asked, records: Sequence[Record], delay: Doubt, size: float) -> Told | None:
@@ -133,8 +119,7 @@ def low_pass_of(asked: Asked, records: Sequence[Record], delay: Doubt, size: flo
         return None
     bend = Doubt("bend", "gain", delay.signals, lambda samples, rate, time: _slope(rate, time))
     folds = folds_of(asked, undone, [delay, bend])
-    told = folds.told(folds.parameters, bend.name)
-    return Told(2 * told.value / size**2, 2 * told.error / size**2, told.freedom)
+    return folds.told(folds.parameters, bend.name).times(2 / size**2)
 
 
 def _slope(values: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -213,38 +198,10 @@ class Course(NamedTuple):
     place: tuple[int, int] = (0, 0)
     first: float = 0.0
 
-    def in_time(self, start: float, stop: float) -> tuple[str, str]:
-        """Options for the part with the least delay, of those before and after a sudden change.
-
-        What lost rows is early from there on; what agrees with it there is no better for it.
-        """
-        before = abs(self.first) <= abs(self.first + self.change)
-        return ("--to", f"{start:.7g}") if before else ("--from", f"{stop:.7g}")
-
-    def by_one_clock(
-        self, late: Sequence[str], ppm: float, step: float, start: float
-    ) -> tuple[str, ...]:
-        """Options that bring what falls behind by so many millionths to the time of the others.
-
-        Clocks are set from the recording's first sample on, `start` seconds before what was
-        looked at.
-        """
-        first = self.first * step - PPM * ppm * start
-        shifted = late if abs(first) > LEAST["clocks"] * step else ()
-        return (
-            *option_for("--shift", shifted, f"{first:.4g}"),
-            *option_for("--clock", late, f"{ppm:.5g}"),
-        )
-
     @property
-    def way(self) -> str:
-        """What the signal does whose delay changes evenly."""
-        return "falls behind" if self.change > 0 else "gets ahead of"
-
-    @property
-    def lasts(self) -> str:
-        """The delay at the start and at the end, in words."""
-        return f"from {self.first:.3g} to {self.first + self.change:.3g} samples"
+    def last(self) -> float:
+        """The delay at the end."""
+        return self.first + self.change
 
 
 def changing(delays: Float[np.ndarray, "4 parts"], edges: Sequence[int]) -> tuple[Course, float]:
@@ -287,13 +244,13 @@ class Followed(NamedTuple):
 
 @dataclass
 class Shifts:
-    """Sums by fold of records, some signals of which are advanced by whole samples; a course is
-    `certain` from this F-statistic on."""
+    """Sums by fold of records, some signals of which are advanced by whole samples; whether the
+    equations are `exact` but for noise."""
 
     asked: Asked
     records: Sequence[Record]
     signals: tuple[str, ...]
-    certain: float = CERTAIN
+    exact: bool = False
     known: dict[int, Folds] = field(default_factory=dict)
 
     def __post_init__(self):
@@ -343,7 +300,10 @@ class Shifts:
         most = self.reach if large else FARTHEST
         first, last = max(middle - most, -self.reach), min(middle + most, self.reach)
         best = self._among(range(first, last + 1))
-        if best is None or best.statistic < self.certain:
+        if best is None:
+            return None
+        chance = float(tails.student(LEVEL / 2, self.sums(middle).number - 3)) ** 2
+        if best.statistic < (chance if self.exact else CERTAIN):
             return None
         return best if abs(best.course.change) > LEAST[best.course.kind] else None
 

@@ -14,19 +14,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax import tails
 from riecjax.doubts.causes import CLEARER, FEWEST, LEVEL, LOST, NO_DELAYS, OF_NOISE, Causes
 from riecjax.doubts.columns import (
     STATES,
     Asked,
     Doubt,
+    Ringing,
     folds_of,
     longest_delay,
     plausible,
     sensors,
 )
 from riecjax.doubts.delays import (
-    CERTAIN,
+    LEAST,
     SMALLEST,
     Course,
     Settled,
@@ -34,13 +34,14 @@ from riecjax.doubts.delays import (
     low_pass_of,
     settled,
 )
-from riecjax.doubts.modes import Ringing, best_mode
+from riecjax.doubts.modes import best_mode
 from riecjax.equations import expressions
 from riecjax.equations.model import Model
 from riecjax.equations.motions import per
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, line_taken_off, option_for
 from riecjax.records.record import Record
+from riecjax.records.time_base import PPM
 from riecjax.summaries.summarise import signals_read
 
 HALF = 0.5
@@ -259,10 +260,7 @@ class Weighing:
         for doubt in causes.of("delay"):
             if not (large or doubt.signals in self.changing):
                 continue
-            certain = CERTAIN
-            if self.is_exact:
-                certain = float(tails.student(LEVEL / 2, causes.folds.number - 3)) ** 2
-            shifts = Shifts(self.asked, self.records, doubt.signals, certain)
+            shifts = Shifts(self.asked, self.records, doubt.signals, self.is_exact)
             middle = delays[doubt].size if doubt in delays else 0.0
             followed = shifts.course(round(middle / float(self.records[0].time_step)), large)
             if followed is None or not causes.is_little(followed.left * energy):
@@ -310,17 +308,12 @@ class Weighing:
         return found
 
 
-def nothing(model: Model, records: Sequence[Record]) -> Sequence[Doubt]:
-    """No term that a model may lack."""
-    return ()
-
-
 @np.errstate(all="ignore")
 def demanded(
     model: Model,
     records: Sequence[Record],
     estimate: Estimate,
-    lacked: Callable[[Model, Sequence[Record]], Sequence[Doubt]] = nothing,
+    lacked: Callable[[Model, Sequence[Record]], Sequence[Doubt]] = lambda model, records: (),
 ) -> list[Cause]:
     """What the data demand, of what may be amiss (not under jit).
 
@@ -388,12 +381,12 @@ def finding_of(
         names = tuple(state.velocity for state in cause.doubt.memories)
     elif cause.doubt.term is not None and not names:
         names = expressions.signals_read(cause.doubt.term.of)
-    if isinstance(cause.doubt.element, Ringing):
-        names = (cause.doubt.element.on,)
+    elif cause.doubt.mode is not None:
+        names = (cause.doubt.mode.on,)
     if cause.course.kind != "steady":
         said = _of_course(cause, records[0])
     elif cause.doubt.kind == "delay" and cause.undone is not None:
-        said = _of_delay(cause.undone, against.says)
+        said = _of_delay(names, cause.undone, against.says)
     else:
         said = _of_size(cause, model, records[0], against.says)
     most = max(cause.moved, key=lambda name: abs(cause.moved[name]), default="")
@@ -430,12 +423,12 @@ def described(doubt: Doubt) -> str:
     return f"a {doubt.name}"
 
 
-def _of_delay(delay: Settled, says: str) -> _Said:
-    names = " and ".join(delay.signals)
+def _of_delay(signals: Sequence[str], delay: Settled, says: str) -> _Said:
+    names = " and ".join(signals)
     milliseconds = f"{1e3 * abs(delay.size):.3g} ms"
     size = f"{milliseconds} ({abs(delay.samples):.3g} samples, +-{1e3 * delay.reach:.2g} ms)"
     if delay.low_passed:
-        remedy = option_for("--unfilter", delay.signals, f"{delay.size:.4g}")
+        remedy = option_for("--unfilter", signals, f"{delay.size:.4g}")
         return _Said(
             "low_passed",
             f"{names}: behind a first-order low-pass with a time constant of {size}, a cut-off at "
@@ -444,13 +437,13 @@ def _of_delay(delay: Settled, says: str) -> _Said:
             remedy,
             f"Undo the low-pass of {names}",
         )
-    remedy = option_for("--shift", delay.signals, f"{delay.size:.4g}")
+    remedy = option_for("--shift", signals, f"{delay.size:.4g}")
     way = f"earlier than {says}: all others are late, or low-passed"
     if delay.size > 0:
         way = f"later than {says}{'' if delay.certain else ', or low-passed'}"
     return _Said(
         "late_signal",
-        f"{names} come{'s' * (len(delay.signals) == 1)} {size} {way}",
+        f"{names} come{'s' * (len(signals) == 1)} {size} {way}",
         f"Shift it (on the command line: {shlex.join(remedy)}), or record all by one clock.",
         remedy,
         f"{'Advance' if delay.size > 0 else 'Delay'} {names} by {milliseconds}",
@@ -460,29 +453,36 @@ def _of_delay(delay: Settled, says: str) -> _Said:
 def _of_course(cause: Cause, record: Record) -> _Said:
     signals, course, step = cause.doubt.signals, cause.course, float(record.time_step)
     names, time = " and ".join(signals), np.asarray(record.elapsed)
+    lasts = f"from {course.first:.3g} to {course.last:.3g} samples"
     if course.kind == "clocks":
         # Clocks go on through pauses.
         samples = float(time[-1] - time[0]) / step / (time.size - 1)
         rate = 1e6 * course.change / (course.place[1] - course.place[0]) / samples
-        remedy = course.by_one_clock(signals, rate, step, float(time[0]))
+        # They are set from the recording's first sample on, before what was looked at.
+        first = course.first * step - PPM * rate * float(time[0])
+        shifted = signals if abs(first) > LEAST["clocks"] * step else ()
+        remedy = (
+            *option_for("--shift", shifted, f"{first:.4g}"),
+            *option_for("--clock", signals, f"{rate:.5g}"),
+        )
+        way = "falls behind" if course.change > 0 else "gets ahead of"
         action = f"Set the clock of {names}, or record it by that of the others"
         return _Said(
             "two_clocks",
-            f"{names} {course.way} the others evenly, {course.lasts}: its clock differs by "
-            f"{rate:.3g} ppm",
+            f"{names} {way} the others evenly, {lasts}: its clock differs by {rate:.3g} ppm",
             f"{action} ({shlex.join(remedy)}).",
             remedy,
             action,
         )
     reach = longest_delay([record])
     first, last = (time[min(place + reach, time.size - 1)] for place in course.place)
-    remedy, action = (
-        course.in_time(first, last),
-        "Use the part of the record in which it is in time",
-    )
+    # What lost rows is early from there on; what agrees with it there is no better for it.
+    is_before = abs(course.first) <= abs(course.last)
+    remedy = ("--to", f"{first:.7g}") if is_before else ("--from", f"{last:.7g}")
+    action = "Use the part of the record in which it is in time"
     return _Said(
         "lost_rows",
-        f"the delay of {names} jumps {course.lasts} between {first:.4g} and {last:.4g} s: "
+        f"the delay of {names} jumps {lasts} between {first:.4g} and {last:.4g} s: "
         f"{'all others have' if course.change > 0 else 'it has'} lost rows there",
         f"{action} ({shlex.join(remedy)}).",
         remedy,
@@ -553,8 +553,8 @@ def _of_size(cause: Cause, model: Model, record: Record, says: str) -> _Said:
     doubt, size = cause.doubt, cause.size
     if any(one.kind == "zero" for one in (doubt, *cause.same)):
         return _of_zero(cause, model, record, says)
-    if isinstance(doubt.element, Ringing):
-        return _of_mode(doubt.equation, doubt.element, size)
+    if doubt.mode is not None:
+        return _of_mode(doubt.equation, doubt.mode, size)
     if doubt.memories:
         return _of_state(doubt, record)
     if doubt.term is not None:

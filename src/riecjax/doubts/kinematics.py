@@ -159,10 +159,8 @@ def compare(record: Record, relation: Relation) -> Compared | None:
 
 def _sizes(folds: Folds, relation: Relation) -> dict[str, Told] | None:
     """Of the terms of a relation, 1 where they are right; `None` where no error can be given."""
-    names, sizes = folds.parameters[: len(relation.of)], {}
-    for name, factor in relation.of:
-        one = folds.told(names, f"0.{name}")
-        sizes[name] = Told(one.value / factor, abs(one.error / factor), one.freedom)
+    names = folds.parameters[: len(relation.of)]
+    sizes = {name: folds.told(names, f"0.{name}").times(1 / by) for name, by in relation.of}
     return sizes if np.isfinite([one.error for one in sizes.values()]).all() else None
 
 
@@ -278,7 +276,7 @@ def _of_few(weighing: Weighing) -> list[Cause]:
     # leaves least of the rest.
     told, left = folds.told([*base, best.name], best.name), max(left, 0.0)
     step = float(weighing.records[0].time_step)
-    undone = settled_at(best, told.value, told, folds, base, (left, left + causes.noise), step)
+    undone = settled_at(told.value, told, folds, base, left, step)
     if not abs(undone.samples) > SMALLEST:
         return []
     return [Cause(best, told.value, causes.rms(before), causes.rms(left), {}, undone)]
@@ -373,8 +371,8 @@ def _of_sizes(record: Record, relation: Relation, sizes: Mapping[str, Told]) -> 
     suspect = min(suspects, key=lambda name: suspects[name][2])
     size, error, least = suspects[suspect]
     alike = [n for n, one in suspects.items() if n != suspect and one[2] < least + CLEAR**2]
-    told = Told(size - 1, error, next(iter(sizes.values())).freedom)
-    if not (abs(told.value) > GAIN and told.chance < LEVEL):
+    off = next(iter(sizes.values()))._replace(value=size - 1, error=error)
+    if not (abs(off.value) > GAIN and off.chance < LEVEL):
         return
     several, gross, gain = len(sizes) > 1, abs(size - 1) > GROSS, 1 / size
     if gross and not several:

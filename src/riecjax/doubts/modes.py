@@ -13,13 +13,11 @@ grid, then closer and closer around the best.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Complex
 
-from riecjax.doubts.columns import Asked, Doubt, folds_of
+from riecjax.doubts.columns import Asked, Doubt, Ringing, folds_of
 from riecjax.equations.hidden_elements import HiddenMode, accelerated
 from riecjax.records.record import Record
 
@@ -35,28 +33,6 @@ AT_END = 1.1
 """Ratio to an end of the band, within which a frequency lies beyond it."""
 MOST_DAMPED = 0.9
 """Damping ratio of what still rings."""
-
-
-@dataclass(frozen=True)
-class Ringing:
-    """How a mode moves against its body, from rest on.
-
-    **Fields:** `on` which body; the signal whose derivative of an `order` is the body's
-    acceleration, and the `sign` of its inertia in the equation; frequency in `hertz`, and the ratio
-    of `damping`.
-    """
-
-    on: str
-    signal: str
-    order: int
-    sign: float
-    hertz: float
-    damping: float
-
-    def response(self, s: Complex[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
-        """Of the mode's filter, less the signal itself."""
-        w, square = 2 * np.pi * self.hertz, s**2
-        return -self.sign * square / (square + 2 * self.damping * w * s + w**2)
 
 
 class Mode(NamedTuple):
@@ -141,13 +117,13 @@ class _Body(NamedTuple):
         doubts = []
         for number, shape in enumerate(zip(hertz.tolist(), damping.tolist())):
             mode = Ringing(self.on, self.signal, self.order, self.sign, *shape)
-            doubts.append(Doubt(f"mode {number}", "mode", equation=self.equation, element=mode))
+            doubts.append(Doubt(f"mode {number}", "mode", equation=self.equation, mode=mode))
         names = [doubt.name for doubt in doubts]
         folds = folds_of(self.asked, self.records, doubts, "")
-        beside = folds.beside([n for n in folds.parameters if n not in names], names)
-        gained = np.where(beside.value > 0, beside.gained, -1.0)
+        told = folds.beside([n for n in folds.parameters if n not in names], names)
+        gained = [one.gained if one.value > 0 else 0.0 for one in told]
         at = int(np.argmax(gained))
         if not gained[at] > 0:
             return None
         shape = float(hertz[at]), float(damping[at])
-        return Mode(*shape, float(gained[at]) / folds.energy, doubts[at], self.asked)
+        return Mode(*shape, gained[at] / folds.energy, doubts[at], self.asked)
