@@ -131,7 +131,7 @@ class Weighing:
         delays = {doubt.signals: [doubt] for doubt in rough.of("delay")}
         changing = {
             one.signals
-            for one in rough.of("clock", "rows")
+            for one in rough.of("clock")
             if rough.is_sure(one) or rough.is_sure(one, delays.get(one.signals, []))
         }
         causes = Causes(folds, near, sizes, rough.trials)
@@ -140,7 +140,6 @@ class Weighing:
     def found(self) -> list[Cause]:
         """What the data demand; nothing where nothing explains what is left."""
         causes = self.causes
-        known = {one: found for one in causes.of("zero", "gain") if (found := self._curved(one))}
         # Rough shapes, of hysteresis and of modes, tell nothing of what is little.
         is_notable = causes.before > NOTABLE**2 * causes.folds.energy
         others = causes.of(*NO_DELAYS, *([STATES] if is_notable else []))
@@ -148,11 +147,11 @@ class Weighing:
         large = causes.before > LOST * causes.folds.energy and not any(
             causes.is_sure(one) and causes.is_little(causes.left([one])) for one in others
         )
-        for one in causes.of("delay"):
-            if (found := self._delay(one, large)) is not None:
-                known[one] = found
-        for doubt, one in known.items():
-            causes.settle(doubt, one.left * causes.folds.energy)
+        known = dict[Doubt, Settled]()
+        for doubt in causes.of("zero", "gain", "delay"):
+            if (found := self._undone(doubt, large and doubt.kind == "delay")) is not None:
+                known[doubt] = found
+                causes.settle(doubt, found.left * causes.folds.energy)
         delays = [doubt for doubt in known if doubt.kind == "delay"]
         chosen = causes.demanded([*delays, *others], sure=known)
         drifting = [doubt for doubt in chosen if doubt.kind == "drift"]
@@ -177,28 +176,29 @@ class Weighing:
         left = self.causes.left([doubt])
         return doubt.signals in self.changing and left > OF_NOISE * self.causes.noise
 
-    def _near(self, doubt: Doubt) -> bool:
-        """Whether a doubt may be a cause, as far as its column tells."""
-        causes = self.causes
-        return causes.is_sure(doubt) and causes.left([doubt]) < HALF * causes.before
-
     def _settled(self, doubt: Doubt, start: float = 0.0, lagged: bool = False) -> Settled | None:
         most = self.causes.plausible[doubt.name]
         return settled(self.asked, self.records, doubt, most, start, lagged)
 
-    def _delay(self, doubt: Doubt, large: bool) -> Settled | None:
-        """A delay once it is undone, or the low-pass that leaves less, if it is no chance; one that
-        may be too `large` for its column is looked for farther away."""
+    def _undone(self, doubt: Doubt, large: bool) -> Settled | None:
+        """A delay, zero or gain once it is undone, since its column is right to first order alone,
+        if it is no chance; of a delay the low-pass that leaves less. One that may be too `large`
+        for its column is looked for farther away."""
         causes, energy = self.causes, self.causes.folds.energy
-        if not (large or self._near(doubt)):
+        near = causes.is_sure(doubt) and causes.left([doubt]) < HALF * causes.before
+        # What is the same as a constant is right as it is.
+        is_straight = doubt.kind != "delay" and causes.same_as(doubt, causes.of("zero", "term"))
+        if is_straight or not (large or near):
             return None
         found = self._settled(doubt)
         if large and (found is None or not causes.is_little(found.left * energy)):
             start = Shifts(self.asked, self.records, doubt.signals).start()
             found = self._settled(doubt, start * float(self.records[0].time_step))
-        if found is None or not (abs(found.size) > found.reach and abs(found.samples) > SMALLEST):
+        if found is None or not abs(found.size) > found.reach:
             return None
-        if found.size < 0:
+        if doubt.kind == "delay" and not abs(found.samples) > SMALLEST:
+            return None
+        if doubt.kind != "delay" or found.size < 0:
             return found
         share = low_pass_of(self.asked, self.records, doubt, found.size)
         if share is not None:
@@ -207,15 +207,6 @@ class Weighing:
                 return self._settled(doubt, found.size, lagged=True) or found
             found = found._replace(certain=is_late)
         return found
-
-    def _curved(self, doubt: Doubt) -> Settled | None:
-        """A zero or gain once it is undone, where its column is right to first order alone; what is
-        the same as a constant is right as it is."""
-        causes = self.causes
-        if not self._near(doubt) or causes.same_as(doubt, causes.of("zero", "term")):
-            return None
-        found = self._settled(doubt)
-        return found if found is not None and abs(found.size) > found.reach else None
 
     def _cause(
         self,
