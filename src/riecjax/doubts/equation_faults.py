@@ -66,7 +66,7 @@ class Cause(NamedTuple):
 
     **Fields:** `doubt`; its `size` in the unit of its column; rms that is left beyond noise with
     it, `left`, and without, `before`, as shares of the target's; `moved`, shares by which
-    parameters change with it; what is found once it is `undone`; `course` of a delay that changes;
+    parameters change with it; what is found once it is `undone`;
     `offset` of what drifts at the record's middle; `instead`, other doubts that explain nearly as
     much, of which some are the `same` column, and `certain`, whether all others leave clearly more.
     """
@@ -77,7 +77,6 @@ class Cause(NamedTuple):
     left: float
     moved: Mapping[str, float]
     undone: Settled | None = None
-    course: Course = Course()
     offset: float = 0.0
     certain: bool = True
     instead: tuple[Doubt, ...] = ()
@@ -144,37 +143,31 @@ class Weighing:
         is_notable = causes.before > NOTABLE**2 * causes.folds.energy
         others = causes.of(*NO_DELAYS, *([STATES] if is_notable else []))
         # Where something else explains what is left, no delay is too large for its column.
-        large = causes.before > LOST * causes.folds.energy and not any(
+        explained = any(
             causes.is_sure(one) and causes.is_little(causes.left([one])) for one in others
         )
+        large = causes.before > LOST * causes.folds.energy and not explained
         known = dict[Doubt, Settled]()
         for doubt in causes.of("zero", "gain", "delay"):
-            if (found := self._undone(doubt, large and doubt.kind == "delay")) is not None:
-                known[doubt] = found
-                causes.settle(doubt, found.left * causes.folds.energy)
+            is_delay = doubt.kind == "delay"
+            undone = self._undone(doubt, large and is_delay)
+            if is_delay and not explained:
+                undone = self._followed(doubt, undone, large) or undone
+            if undone is not None:
+                known[doubt] = undone
+                causes.settle(doubt, undone.left * causes.folds.energy)
         delays = [doubt for doubt in known if doubt.kind == "delay"]
         chosen = causes.demanded([*delays, *others], sure=known)
         drifting = [doubt for doubt in chosen if doubt.kind == "drift"]
         chosen = [doubt for doubt in chosen if not causes.is_zero_of(doubt, drifting)]
-        if not chosen:
-            one = self._followed(known)
-            if one is None and is_notable and self.ringing:
-                one = self._hysteresis() or self._mode()
-                # A rough shape is no cause where a delay explains more.
-                best = min(delays, key=lambda delay: causes.left([delay]), default=None)
-                if one and best and causes.rms(causes.left([best])) < one.left:
-                    one = self._cause(best, [best], known[best])
-            return [] if one is None else [one]
-        if [doubt.kind for doubt in chosen] == ["delay"] and self._is_changing(chosen[0]):
-            one = self._followed(known)
-            if one is not None and CLEARER * one.left**2 < causes.rms(causes.left(chosen)) ** 2:
-                return [one]
-        return [self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen]
-
-    def _is_changing(self, doubt: Doubt) -> bool:
-        """Whether a delay may change along the record, and a steady one leaves more than noise."""
-        left = self.causes.left([doubt])
-        return doubt.signals in self.changing and left > OF_NOISE * self.causes.noise
+        if chosen or not (is_notable and self.ringing):
+            return [self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen]
+        rough = self._hysteresis() or self._mode()
+        # A rough shape is no cause where a delay explains more.
+        best = min(delays, key=lambda delay: causes.left([delay]), default=None)
+        if rough and best and causes.rms(causes.left([best])) < rough.left:
+            rough = self._cause(best, [best], known[best])
+        return [] if rough is None else [rough]
 
     def _settled(self, doubt: Doubt, start: float = 0.0, lagged: bool = False) -> Settled | None:
         most = self.causes.plausible[doubt.name]
@@ -224,7 +217,8 @@ class Weighing:
         chosen = [*chosen, *zeros]
         names, without = causes.names(chosen), causes.names(beside)
         after = dict(zip(names, folds.fitted(names).tolist()))
-        instead = causes.instead(chosen, doubt)
+        # Of delays that change the best is told.
+        instead = [] if undone is not None and undone.course else causes.instead(chosen, doubt)
         return Cause(
             doubt,
             after[doubt.name] if undone is None else undone.size,
@@ -241,26 +235,22 @@ class Weighing:
             instead=tuple(instead),
         )
 
-    def _followed(self, delays: Mapping[Doubt, Settled]) -> Cause | None:
-        """The delay of a single record that changes along it, if that explains what is left."""
+    def _followed(self, doubt: Doubt, steady: Settled | None, large: bool) -> Settled | None:
+        """The delay of a single record that changes along it, if that explains what is left, and
+        clearly more of it than one that stays."""
         causes, energy = self.causes, self.causes.folds.energy
         is_visible = self.is_exact or causes.before > VISIBLE**2 * energy
+        left = causes.before if steady is None else energy * steady.left
+        if not (large or doubt.signals in self.changing) or left <= OF_NOISE * causes.noise:
+            return None
         if len(self.records) > 1 or not is_visible:
             return None
-        best, large = list[Cause](), causes.before > LOST * energy
-        for doubt in causes.of("delay"):
-            if not (large or doubt.signals in self.changing):
-                continue
-            shifts = Shifts(self.asked, self.records, doubt.signals, self.is_exact)
-            middle = delays[doubt].size if doubt in delays else 0.0
-            followed = shifts.course(round(middle / float(self.records[0].time_step)), large)
-            if followed is None or not causes.is_little(followed.left * energy):
-                continue
-            unmoved = dict(zip(causes.base, causes.folds.fitted(causes.base).tolist()))
-            moved = self._moved(followed.values, unmoved)
-            before, left = causes.rms(causes.before), causes.rms(followed.left * energy)
-            best.append(Cause(doubt, 0.0, before, left, moved, course=followed.course))
-        return min(best, key=lambda cause: cause.left, default=None)
+        shifts = Shifts(self.asked, self.records, doubt.signals, self.is_exact)
+        found = shifts.course(0 if steady is None else round(steady.samples), large)
+        if found is None or not causes.is_little(energy * found.left):
+            return None
+        is_clear = CLEARER * energy * found.left < left
+        return found if is_clear or not causes.is_little(left) else None
 
     def _hysteresis(self) -> Cause | None:
         """Hysteresis that explains what is left roughly, as no term does."""
@@ -374,8 +364,8 @@ def finding_of(
         names = expressions.signals_read(cause.doubt.term.of)
     elif cause.doubt.mode is not None:
         names = (cause.doubt.mode.on,)
-    if cause.course.kind != "steady":
-        said = _of_course(cause, records[0])
+    if cause.undone is not None and cause.undone.course is not None:
+        said = _of_course(names, cause.undone.course, records[0])
     elif cause.doubt.kind == "delay" and cause.undone is not None:
         said = _of_delay(names, cause.undone, against.says)
     else:
@@ -441,9 +431,8 @@ def _of_delay(signals: Sequence[str], delay: Settled, says: str) -> _Said:
     )
 
 
-def _of_course(cause: Cause, record: Record) -> _Said:
-    signals, course, step = cause.doubt.signals, cause.course, float(record.time_step)
-    names, time = " and ".join(signals), np.asarray(record.elapsed)
+def _of_course(signals: Sequence[str], course: Course, record: Record) -> _Said:
+    names, time, step = " and ".join(signals), np.asarray(record.elapsed), float(record.time_step)
     lasts = f"from {course.first:.3g} to {course.last:.3g} samples"
     if course.kind == "clocks":
         # Clocks go on through pauses.

@@ -132,7 +132,8 @@ def compare(record: Record, relation: Relation) -> Compared | None:
         late |= {
             name: cause.undone
             for cause in causes
-            if cause.undone is not None and cause.doubt.kind == "delay"
+            if cause.undone is not None and cause.undone.course is None
+            if cause.doubt.kind == "delay"
             for name in cause.doubt.signals
         }
         is_undone = all(one.remedy for one in told)
@@ -289,7 +290,8 @@ def _told(cause: Cause, relation: Relation, weighing: Weighing) -> Finding:
     against = Equated(f"{says} says", "they differ by", "the motion", "velocity_offset")
     cause = cause._replace(moved={})
     finding = finding_of(cause, weighing.asked.model, weighing.records, against)
-    others = () if cause.undone is not None else [n for n in relation.names if n != name]
+    is_late = cause.undone is not None and cause.undone.course is None
+    others = () if is_late else [n for n in relation.names if n != name]
     message = finding.message
     if finding.code in ("velocity_offset", "drifting_signal"):
         message = f"{message} Or {relation.signal} drifts."
