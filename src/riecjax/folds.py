@@ -54,11 +54,10 @@ class Folds(NamedTuple):
         motion: Float[np.ndarray, "blocks columns columns"],
         count: Float[np.ndarray, " blocks"],
         parameters: Sequence[str],
-        most: int = FOLDS,
     ) -> "Folds":
-        """Of moments by block, those of a `count` of zero left out: at most so many folds."""
+        """Of moments by block, those of a `count` of zero left out."""
         used = np.flatnonzero(np.asarray(count) > 0)
-        number = min(most, used.size)
+        number = min(FOLDS, used.size)
         first = -(-np.arange(number) * used.size // max(number, 1))
 
         def added(blocks: np.ndarray) -> np.ndarray:
