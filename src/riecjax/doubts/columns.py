@@ -6,8 +6,8 @@ in place of `s`, where `a` is how much and `d` a course in time, adds to first o
     a c,    c = D^k (d phi / d s) d
 
 to it: a column that is known, since `theta` is. So a zero has `d = 1`, a gain `d = s`, a drift
-`d = t`, a delay `d = -s'` (per second), two clocks, or rows that were lost, `d = -s' t`; a term
-that the model lacks is its own column. The slope `d phi / d s` is a
+`d = t`, a delay `d = -s'` (per second), two clocks `d = -s' t`, rows that were lost at `t0`
+`d = -s' [t > t0]`; a term that the model lacks is its own column. The slope `d phi / d s` is a
 difference of the equation's own columns, taken for one signal after the other, and the derivatives
 stay on the test function.
 
@@ -445,6 +445,8 @@ REACH = 3.0
 """Ranges of a signal, its mean included, that its zero is off by at the most."""
 GAIN = 0.5
 """The most that a gain is off by: other units and signs are seen before."""
+JUMPS = 7
+"""Places along a record at which rows may have been lost."""
 
 
 def clocks_of(model: Model, read: set[str]) -> list[tuple[str, ...]]:
@@ -481,14 +483,24 @@ def zero_of(name: str) -> Doubt:
 
 def drift_of(name: str) -> Doubt:
     """That a signal drifts by one along a record."""
-    return Doubt(f"drift of {name}", "drift", (name,), lambda *of: of[-1] / np.ptp(of[-1]))
+    return Doubt(f"drift of {name}", "drift", (name,), lambda *of: _share(of[-1]))
 
 
-def clock_of(signals: tuple[str, ...]) -> Doubt:
-    """That their delay grows along a record, by one second over it; or jumps, which is much the
-    same."""
-    name = f"clock of {' and '.join(signals)}"
-    return Doubt(name, "clock", signals, lambda _, rate, time: -rate * time / np.ptp(time))
+def courses_of(signals: tuple[str, ...]) -> Iterator[Doubt]:
+    """That their delay changes along a record, steadily or by a jump: by one second over it."""
+    name = " and ".join(signals)
+    yield Doubt(f"clock of {name}", "clock", signals, lambda _, rate, time: -rate * _share(time))
+    for place in np.linspace(-0.5, 0.5, JUMPS + 2)[1:-1]:
+
+        def jump(samples: Samples, rate: Samples, time: Samples, place: float = place) -> Samples:
+            return np.where(_share(time) > place, -rate, 0.0)
+
+        yield Doubt(f"rows of {name} at {place:.3f}", "clock", signals, jump)
+
+
+def _share(time: Samples) -> Samples:
+    """Of the record's time, from -1/2 to 1/2."""
+    return time / np.ptp(time)
 
 
 def sensors(model: Model, records: Sequence[Record], read: set[str]) -> list[Doubt]:
@@ -496,8 +508,7 @@ def sensors(model: Model, records: Sequence[Record], read: set[str]) -> list[Dou
     found = []
     for signals in clocks_of(model, read):
         found.append(delay_of(signals))
-        if len(records) == 1:
-            found.append(clock_of(signals))
+        found += courses_of(signals) if len(records) == 1 else []
     known = {t.signal for e in model.equations for t in e.terms if not t.parameters}
     for name in sorted(read, key=lambda name: (name not in known, name)):
         found.append(zero_of(name))

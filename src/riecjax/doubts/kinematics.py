@@ -29,7 +29,7 @@ from riecjax.doubts.columns import (
     MOST_SAMPLES,
     Asked,
     Doubt,
-    clock_of,
+    courses_of,
     delay_of,
     drift_of,
     folds_of,
@@ -195,7 +195,7 @@ def _weighed(relation: Relation, record: Record, by: Sequence[str] = ()) -> Weig
     windows = AllWindows(max(longest // SHORTEST, 2) * step, longest * step)
     doubts = list[Doubt]()
     for name in by or (relation.names if len(terms) > 1 else terms):
-        doubts += [delay_of((name,)), clock_of((name,))]
+        doubts += [delay_of((name,)), *courses_of((name,))]
     # Of a sum it is moot whose zero is off.
     for name in reversed(terms if not by else ()):
         doubts += [zero_of(name), drift_of(name)]
