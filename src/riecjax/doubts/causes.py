@@ -8,8 +8,8 @@ explains nearly as much as the cause is *equivalent*: the recordings hardly tell
 no doubt is the cause alone, two or three may be: the best is admitted, and the rest are tested
 beside it.
 
-What no column of its own remains of beside regressors and target, cannot be tested: the target's
-own gain, or a delay that all signals have.
+What no column of its own remains of beside the regressors, cannot be tested, as a delay that all
+signals have; nor can the target's own gain, whose column explains it whole, at no plausible size.
 """
 
 from collections.abc import Container, Mapping, Sequence
@@ -21,7 +21,6 @@ from riecjax.doubts.columns import STATES, Doubt
 from riecjax.equations.expressions import constant
 from riecjax.folds import Folds, Told
 from riecjax.leaves import size_of
-from riecjax.linear_algebra import unit_diagonal
 
 LEVEL = 1e-3
 """Probability by chance, over all doubts, below which one is told."""
@@ -45,9 +44,6 @@ OWN = 1e-7
 """Share of a column that is its own beside regressors and target, below which rounding makes it."""
 OWN_NOISE = 0.05
 """The same over the noise in it: no closer is known how much noise there is."""
-WORTH = 4e-6
-"""Share of the target's energy that a doubt explains at the least: less is within reach of what
-sampling and integration do."""
 
 
 @dataclass(eq=False)
@@ -80,7 +76,6 @@ class Causes:
             doubt
             for doubt, told in self.beside([]).items()
             if told.own > max(OWN, OWN_NOISE * told.noise)
-            and not (doubt.kind == "gain" and self._is_gain_of_all(doubt))
         ]
 
     def of(self, *kinds: str) -> list[Doubt]:
@@ -122,9 +117,8 @@ class Causes:
     def is_sure(self, doubt: Doubt, beside: Sequence[Doubt] = ()) -> bool:
         """Whether neither chance nor rounding makes a doubt, and it is of a plausible size."""
         told = self.beside(beside)[doubt]
-        worth = doubt.kind == "delay" or told.gained > WORTH * self.folds.energy
         likely = abs(told.value) < self.plausible.get(doubt.name, np.inf)
-        return worth and likely and told.own > OWN and told.chance * self.trials < LEVEL
+        return likely and told.own > OWN and told.chance * self.trials < LEVEL
 
     @property
     def is_promising(self) -> bool:
@@ -166,7 +160,6 @@ class Causes:
         **Arguments:** `sure`, doubts of which that is known.
         """
         chosen: list[Doubt] = []
-        among = list(among)
         while self.folds.number >= FEWEST and len(chosen) < MOST:
             others = [
                 doubt
@@ -177,9 +170,6 @@ class Causes:
             best = min(others, key=lambda doubt: self.left([*chosen, doubt]), default=None)
             if best is None or not self.left([*chosen, best]) < self.left(chosen):
                 break
-            if self.is_little(self.left([*chosen, best])) and self._reproduces([*chosen, best]):
-                among.remove(best)
-                continue
             chosen.append(min(self._alike(best, chosen, among), key=_simplicity))
             # Of a state the width that leaves least beside the others.
             widths = [doubt for doubt in among if doubt.kind == STATES]
@@ -255,11 +245,6 @@ class Causes:
             for other in others
         )
 
-    def _reproduces(self, doubts: Sequence[Doubt]) -> bool:
-        """Whether doubts alone make the target, all parameters zero: a law of the known force."""
-        alone = float(self.folds.left([doubt.name for doubt in doubts]).motion.sum())
-        return alone <= max(CLEARER * self.left(doubts), OF_NOISE * self.noise)
-
     def _pruned(self, chosen: list[Doubt]) -> list[Doubt]:
         """Without those without which the rest explains as much."""
         for doubt in chosen[:-1]:
@@ -268,17 +253,6 @@ class Causes:
             if self.is_little(left) and left <= CLEARER * self.left(chosen):
                 return self._pruned(rest)
         return chosen
-
-    def _is_gain_of_all(self, doubt: Doubt) -> bool:
-        """Whether a gain is that of all that the equations explain, or of their target: it hardly
-        remains beside regressors and target."""
-        motion = self.folds.motion.sum(0)
-        (at,) = self.folds.columns([doubt.name])
-        beside = np.array([0, *self.folds.columns(self.base)])
-        scaled = unit_diagonal(motion)[0]
-        along = np.linalg.pinv(scaled[np.ix_(beside, beside)], 1e-12, hermitian=True)
-        own = scaled[at, at] - scaled[at, beside] @ along @ scaled[beside, at]
-        return not own > OWN
 
 
 def _simplicity(doubt: Doubt) -> int:

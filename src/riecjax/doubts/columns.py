@@ -305,20 +305,6 @@ class Asked(NamedTuple):
     base: Collection[str] = ()
     stages: Collection[int] = ()
 
-    @property
-    def resting_on_earlier(self) -> set[str]:
-        """Names of equations that take what earlier stages found as known: what these leave may be
-        an error of those."""
-        found, earlier = set[str](), set[str]()
-        for number, (names, stage) in enumerate(zip(self.model.equation_names, self.model.stages)):
-            for name, equation in zip(names, stage, strict=True):
-                taken = earlier & {*equation.parameters} - {*self.known}
-                found |= (
-                    {name} if any(f"{number}.{one}" not in self.base for one in taken) else set()
-                )
-            earlier |= {name for equation in stage for name in equation.parameters}
-        return found
-
     def with_values(self, found: Mapping[str, float]) -> "Asked":
         """The same with the values of columns, each parameter's in the first stage that has it."""
         values = dict(self.values)
@@ -444,7 +430,8 @@ LONGEST_SHARE = 20
 REACH = 3.0
 """Ranges of a signal, its mean included, that its zero is off by at the most."""
 GAIN = 0.5
-"""The most that a gain is off by: other units and signs are seen before."""
+"""The most that a gain is off by: other units and signs are seen before. That of a whole target,
+whose column explains the target by itself, is one."""
 JUMPS = 7
 """Places along a record at which rows may have been lost."""
 
@@ -512,18 +499,10 @@ def sensors(model: Model, records: Sequence[Record], read: set[str]) -> list[Dou
     known = {t.signal for e in model.equations for t in e.terms if not t.parameters}
     for name in sorted(read, key=lambda name: (name not in known, name)):
         found.append(zero_of(name))
-        # That of a whole target scales the parameters.
-        if not _is_target(model, name):
-            found.append(Doubt(f"gain of {name}", "gain", (name,), lambda samples, *_: samples))
+        found.append(Doubt(f"gain of {name}", "gain", (name,), lambda samples, *_: samples))
         if len(records) == 1:
             found.append(drift_of(name))
     return found
-
-
-def _is_target(model: Model, name: str) -> bool:
-    """Whether a signal alone is what the equations that know terms of it have to explain."""
-    known = [[t.signal for t in e.terms if not t.parameters] for e in model.equations]
-    return any({*signals} == {name} for signals in known)
 
 
 def plausible(doubts: Sequence[Doubt], records: Sequence[Record]) -> Mapping[str, float]:

@@ -124,8 +124,7 @@ class Weighing:
         if not is_promising or is_moot(rough):
             rough.offered = []
             return cls(asked, records, rough, (), ringing, is_exact)
-        fixed = asked.resting_on_earlier
-        near = [doubt for doubt in rough.nearest(NEAR) if doubt.equation not in fixed]
+        near = rough.nearest(NEAR)
         folds = folds_of(asked, records, near)
         delays = {doubt.signals: [doubt] for doubt in rough.of("delay")}
         changing = {
