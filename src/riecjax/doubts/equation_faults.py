@@ -118,10 +118,7 @@ class Weighing:
             rough = Causes(folds_of(asked, records, doubts, "plain"), doubts, sizes)
         asked = asked._replace(base=rough.base)
         # An equation that leaves out nothing is not explained by what is significant by chance.
-        is_promising = rough.is_promising
-        if is_exact:
-            is_promising = is_promising or any(map(rough.is_sure, rough.offered))
-        if not is_promising or is_moot(rough):
+        if not rough.is_promising or is_moot(rough):
             rough.offered = []
             return cls(asked, records, rough, (), ringing, is_exact)
         near = rough.nearest(NEAR)
