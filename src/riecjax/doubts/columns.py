@@ -305,6 +305,19 @@ class Asked(NamedTuple):
     base: Collection[str] = ()
     stages: Collection[int] = ()
 
+    @property
+    def resting_on_earlier(self) -> set[str]:
+        """Names of equations that take what earlier stages found as known: what these leave may be
+        an error of those."""
+        resting, earlier = set[str](), set[str]()
+        for number, (names, stage) in enumerate(zip(self.model.equation_names, self.model.stages)):
+            for name, equation in zip(names, stage, strict=True):
+                taken = earlier & {*equation.parameters} - {*self.known}
+                if any(f"{number}.{one}" not in self.base for one in taken):
+                    resting.add(name)
+            earlier |= {name for equation in stage for name in equation.parameters}
+        return resting
+
     def with_values(self, found: Mapping[str, float]) -> "Asked":
         """The same with the values of columns, each parameter's in the first stage that has it."""
         values = dict(self.values)

@@ -121,7 +121,8 @@ class Weighing:
         if not rough.is_promising or is_moot(rough):
             rough.offered = []
             return cls(asked, records, rough, (), ringing, is_exact)
-        near = rough.nearest(NEAR)
+        resting = asked.resting_on_earlier
+        near = [doubt for doubt in rough.nearest(NEAR) if doubt.equation not in resting]
         folds = folds_of(asked, records, near)
         delays = {doubt.signals: [doubt] for doubt in rough.of("delay")}
         changing = {
