@@ -233,10 +233,6 @@ class Told(NamedTuple):
     gained: float
     freedom: int
 
-    def less(self, value: float) -> "Told":
-        """The same less this value."""
-        return self._replace(value=self.value - value)
-
     def times(self, factor: float) -> "Told":
         """The same in another unit."""
         return self._replace(value=factor * self.value, error=abs(factor) * self.error)

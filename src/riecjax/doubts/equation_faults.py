@@ -86,14 +86,13 @@ class Cause(NamedTuple):
 @dataclass(eq=False)
 class Weighing:
     """What is `asked`, on records: doubts that may be a cause, as `causes`; signals whose delay may
-    be `changing` along a record; whether a mode may be the cause where no doubt is, `ringing`, or
-    the equation `is_exact` but for noise."""
+    be `changing` along a record; whether the equation `is_exact` but for noise, or may leave out
+    what rough shapes explain, hysteresis and modes."""
 
     asked: Asked
     records: Sequence[Record]
     causes: Causes
     changing: Collection[tuple[str, ...]] = ()
-    ringing: bool = False
     is_exact: bool = False
 
     @classmethod
@@ -102,7 +101,6 @@ class Weighing:
         asked: Asked,
         records: Sequence[Record],
         doubts: Sequence[Doubt],
-        ringing: bool = False,
         is_exact: bool = False,
         is_moot: Callable[[Causes], bool] = lambda rough: False,
     ) -> "Weighing":
@@ -120,7 +118,7 @@ class Weighing:
         # An equation that leaves out nothing is not explained by what is significant by chance.
         if not rough.is_promising or is_moot(rough):
             rough.offered = []
-            return cls(asked, records, rough, (), ringing, is_exact)
+            return cls(asked, records, rough, (), is_exact)
         resting = asked.resting_on_earlier
         near = [doubt for doubt in rough.nearest(NEAR) if doubt.equation not in resting]
         folds = folds_of(asked, records, near)
@@ -131,7 +129,7 @@ class Weighing:
             if rough.is_sure(one) or rough.is_sure(one, delays.get(one.signals, []))
         }
         causes = Causes(folds, near, sizes, rough.trials)
-        return cls(asked, records, causes, changing, ringing, is_exact)
+        return cls(asked, records, causes, changing, is_exact)
 
     def found(self) -> list[Cause]:
         """What the data demand; nothing where nothing explains what is left."""
@@ -157,7 +155,7 @@ class Weighing:
         chosen = causes.demanded([*delays, *others], sure=known)
         drifting = [doubt for doubt in chosen if doubt.kind == "drift"]
         chosen = [doubt for doubt in chosen if not causes.is_zero_of(doubt, drifting)]
-        if chosen or not (is_notable and self.ringing):
+        if chosen or self.is_exact or not is_notable:
             return [self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen]
         rough = self._hysteresis() or self._mode()
         # A rough shape is no cause where a delay explains more.
@@ -192,7 +190,8 @@ class Weighing:
             return found
         share = low_pass_of(self.asked, self.records, doubt, found.size)
         if share is not None:
-            is_bent, is_late = share.chance < LEVEL, share.less(1.0).chance < LEVEL
+            of_delay = share._replace(value=share.value - 1)
+            is_bent, is_late = share.chance < LEVEL, of_delay.chance < LEVEL
             if is_bent and share.value > HALF:
                 return self._settled(doubt, found.size, lagged=True) or found
             found = found._replace(certain=is_late)
@@ -310,7 +309,7 @@ def demanded(
     read = {n for each in records for n in signals_read(model, each, criterion, summed=True)}
     doubts = [*sensors(model, records, read), *lacked(model, records)]
     try:
-        weighing = Weighing.of(Asked.of(model, estimate), records, doubts, ringing=True)
+        weighing = Weighing.of(Asked.of(model, estimate), records, doubts)
         return [cause for cause in weighing.found() if _matters(cause, estimate)]
     except np.linalg.LinAlgError:  # of samples whose products are no numbers
         return []
