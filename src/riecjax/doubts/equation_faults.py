@@ -236,17 +236,18 @@ class Weighing:
         clearly more of it than one that stays."""
         causes, energy = self.causes, self.causes.folds.energy
         is_visible = self.is_exact or causes.before > VISIBLE**2 * energy
-        left = causes.before if steady is None else energy * steady.left
-        if not (large or doubt.signals in self.changing) or left <= OF_NOISE * causes.noise:
+        may_change = large or doubt.signals in self.changing
+        if len(self.records) > 1 or not (may_change and is_visible):
             return None
-        if len(self.records) > 1 or not is_visible:
+        if steady is not None and energy * steady.left <= OF_NOISE * causes.noise:
             return None
         shifts = Shifts(self.asked, self.records, doubt.signals, self.is_exact)
         found = shifts.course(0 if steady is None else round(steady.samples), large)
         if found is None or not causes.is_little(energy * found.left):
             return None
-        is_clear = CLEARER * energy * found.left < left
-        return found if is_clear or not causes.is_little(left) else None
+        if steady is None or not causes.is_little(energy * steady.left):
+            return found
+        return found if CLEARER * found.left < steady.left else None
 
     def _hysteresis(self) -> Cause | None:
         """Hysteresis that explains what is left roughly, as no term does."""
