@@ -28,6 +28,8 @@ UNEXPLAINED = 0.1
 """Share of the energy left beyond noise that a cause leaves at most."""
 OF_NOISE = 0.07
 """The same as a share of what noise leaves: no closer is known how much that is."""
+PART = 0.25
+"""Share of what is left that the best of several causes gains by itself at the least."""
 LOST = 0.03
 """Energy left, as a share, from which a delay may be too large to be found from where it is."""
 CLEARER = 4.0
@@ -120,9 +122,12 @@ class Causes:
 
     @property
     def is_promising(self) -> bool:
-        """Whether any doubt may be a cause, or so much is left that a delay may be too large for
-        its column."""
-        return self.before > LOST * self.folds.energy or any(map(self.is_sure, self.offered))
+        """Whether any doubt may be a cause, or one of several; or so much is left that a delay may
+        be too large for its column."""
+        told = self.beside([])
+        most = max((told[doubt].gained for doubt in self.offered), default=0.0)
+        enough = PART * max(self.before, OF_NOISE * self.noise)
+        return most > enough or self.before > LOST * self.folds.energy
 
     def nearest(self, most: int) -> list[Doubt]:
         """All delays; of the other doubts those that gain most by themselves, and beside the best,

@@ -116,7 +116,8 @@ class Weighing:
             rough = Causes(folds_of(asked, records, doubts, "plain"), doubts, sizes)
         asked = asked._replace(base=rough.base)
         # An equation that leaves out nothing is not explained by what is significant by chance.
-        if not rough.is_promising or is_moot(rough):
+        is_promising = rough.is_promising or (is_exact and any(map(rough.is_sure, rough.offered)))
+        if not is_promising or is_moot(rough):
             rough.offered = []
             return cls(asked, records, rough, (), is_exact)
         resting = asked.resting_on_earlier
