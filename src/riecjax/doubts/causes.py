@@ -160,6 +160,7 @@ class Causes:
         **Arguments:** `sure`, doubts of which that is known.
         """
         chosen: list[Doubt] = []
+        among = list(among)
         while self.folds.number >= FEWEST and len(chosen) < MOST:
             others = [
                 doubt
@@ -170,6 +171,9 @@ class Causes:
             best = min(others, key=lambda doubt: self.left([*chosen, doubt]), default=None)
             if best is None or not self.left([*chosen, best]) < self.left(chosen):
                 break
+            if self.is_little(self.left([*chosen, best])) and self._reproduces([*chosen, best]):
+                among.remove(best)
+                continue
             chosen.append(min(self._alike(best, chosen, among), key=_simplicity))
             # Of a state the width that leaves least beside the others.
             widths = [doubt for doubt in among if doubt.kind == STATES]
@@ -244,6 +248,11 @@ class Causes:
             or self.left([*beside, other]) > least
             for other in others
         )
+
+    def _reproduces(self, doubts: Sequence[Doubt]) -> bool:
+        """Whether doubts alone make the target, all parameters zero: a law of the known force."""
+        alone = float(self.folds.left([doubt.name for doubt in doubts]).motion.sum())
+        return alone <= max(CLEARER * self.left(doubts), OF_NOISE * self.noise)
 
     def _pruned(self, chosen: list[Doubt]) -> list[Doubt]:
         """Without those without which the rest explains as much."""
