@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 import scipy.special
 from jaxtyping import Bool, Float, Int
-from numpy.typing import ArrayLike
 
 from riecjax.linear_algebra import eliminate_with_pivots, unit_scale
 
@@ -55,11 +54,10 @@ class Folds(NamedTuple):
         motion: Float[np.ndarray, "blocks columns columns"],
         count: Float[np.ndarray, " blocks"],
         parameters: Sequence[str],
-        most: int = FOLDS,
     ) -> "Folds":
-        """Of moments by block, those of a `count` of zero left out: at most so many folds."""
+        """Of moments by block, those of a `count` of zero left out."""
         used = np.flatnonzero(np.asarray(count) > 0)
-        number = min(most, used.size)
+        number = min(FOLDS, used.size)
         first = -(-np.arange(number) * used.size // max(number, 1))
 
         def added(blocks: np.ndarray) -> np.ndarray:
@@ -108,12 +106,10 @@ class Folds(NamedTuple):
         return Left(*(np.einsum("fi,fij,fj->f", v, of, v) for of in (motion, samples)))
 
     def told(self, names: Sequence[str], column: str) -> "Told":
-        """A column's coefficient beside all others of a structure, see `beside`."""
-        others = [name for name in names if name != column]
-        value, error = (float(each[0]) for each in self.beside(others, [column])[:2])
-        return Told(value, error, self.number - 1)
+        """A column's coefficient beside all others of a structure."""
+        return self.beside([name for name in names if name != column], [column])[0]
 
-    def beside(self, names: Sequence[str], columns: Sequence[str]) -> "Beside":
+    def beside(self, names: Sequence[str], columns: Sequence[str]) -> list["Told"]:
         """Each of some columns in turn beside the columns of a structure, see `errors`."""
         base, own = self.columns(names), self.columns(columns)
         scale = unit_scale(np.diagonal(self.motion.sum(0)))
@@ -123,23 +119,24 @@ class Folds(NamedTuple):
         theta, along = inverse @ every[:, base, 0].sum(0), inverse @ across.sum(0)
         left = every[:, base, 0] - gram @ theta
         scores = every[:, own, 0] - np.einsum("fpc,p->fc", across, theta) - left @ along
-        energy = (
-            every[:, own, own]
-            - 2 * np.einsum("fpc,pc->fc", across, along)
-            + np.einsum("pc,fpq,qc->fc", along, gram, along)
-        )
+
+        def apart(every: np.ndarray) -> np.ndarray:
+            """Energy of what no combination of the others explains."""
+            return (
+                every[..., own, own]
+                - 2 * np.einsum("...pc,pc->...c", every[..., base[:, None], own], along)
+                + np.einsum("pc,...pq,qc->...c", along, every[..., base[:, None], base], along)
+            )
+
+        energy = apart(every)
         total = energy.sum(0)
         value = scores.sum(0) / np.where(total > 0, total, np.inf)
-        gained = scores.sum(0) * value
+        gained = scores.sum(0) * value / scale[0] ** 2
         error = errors(scores - value * energy, energy)
         size = scale[own] / scale[0]
-        noise = (self.samples - self.motion).sum(0) * scale[:, None] * scale
-        noise = (
-            noise[own, own]
-            - 2 * np.einsum("pc,pc->c", noise[np.ix_(base, own)], along)
-            + np.einsum("pc,pq,qc->c", along, noise[np.ix_(base, base)], along)
-        )
-        return Beside(size * value, size * error, total, noise, gained / scale[0] ** 2)
+        noise = apart((self.samples - self.motion).sum(0) * scale[:, None] * scale)
+        parts = np.array([size * value, size * error, total, noise, gained])
+        return [Told(*part, freedom=self.number - 1) for part in parts.T.tolist()]
 
     @np.errstate(invalid="ignore", over="ignore")
     def left_with(
@@ -220,49 +217,32 @@ class Folds(NamedTuple):
 
         return Left(energy(motion, np.inf), energy(blocks(self.samples), 0.0))
 
-    def chances(self, names: Sequence[str]) -> Float[np.ndarray, " p"]:
-        """Probabilities that columns of a structure, if they explain nothing, are as far from zero:
-        by Student's t of their coefficients, see `errors`."""
-        at = self.columns(names)
-        gram, moment = self.motion[:, at[:, None], at], self.motion[:, at, 0]
-        inverse = np.linalg.pinv(gram.sum(0), hermitian=True)
-        theta = inverse @ moment.sum(0)
-        alone = inverse / np.diagonal(inverse)
-        scores = (moment - gram @ theta) @ alone
-        energy = np.sum(alone * (gram @ alone), axis=1)
-        return chance(theta, errors(scores, energy), self.number - 1)
-
-
-class Beside(NamedTuple):
-    """Columns, each beside the same others.
-
-    **Fields:** `value` and standard `error` of its coefficient; `own`, share of its energy that no
-    combination of the others explains, and the `noise` in that; energy of the target that is
-    `gained` by it.
-    """
-
-    value: Float[np.ndarray, " columns"]
-    error: Float[np.ndarray, " columns"]
-    own: Float[np.ndarray, " columns"]
-    noise: Float[np.ndarray, " columns"]
-    gained: Float[np.ndarray, " columns"]
-
 
 class Told(NamedTuple):
-    """A coefficient's `value` and standard `error`, of so many degrees of `freedom`."""
+    """A column beside others.
+
+    **Fields:** `value` and standard `error` of its coefficient, of so many degrees of `freedom`;
+    `own`, share of its energy that no combination of the others explains, and the `noise` in that;
+    energy of the target that is `gained` by it.
+    """
 
     value: float
     error: float
+    own: float
+    noise: float
+    gained: float
     freedom: int
 
-    def less(self, value: float) -> "Told":
-        """The same less this value."""
-        return self._replace(value=self.value - value)
+    def times(self, factor: float) -> "Told":
+        """The same in another unit."""
+        return self._replace(value=factor * self.value, error=abs(factor) * self.error)
 
     @property
     def chance(self) -> float:
-        """Probability that one which explains nothing is as far from zero."""
-        return float(chance(self.value, self.error, self.freedom))
+        """Probability that one which explains nothing is as far from zero, by Student's t."""
+        exact = np.inf if abs(self.value) > 0 else 0.0
+        away = abs(self.value) / self.error if self.error > 0 else exact
+        return float(2 * scipy.special.stdtr(max(self.freedom, 1), -away))
 
 
 def errors(
@@ -286,14 +266,6 @@ def errors(
     alike = alike / np.maximum(some.sum(0), 1) / total
     error = np.sqrt(np.maximum(apart, alike) * number / (number - 1))
     return np.where(some.any(0), error, np.inf)
-
-
-def chance(value: ArrayLike, error: ArrayLike, freedom: int) -> np.ndarray:
-    """Probability that a coefficient is as far from zero by chance, by Student's t."""
-    value, error = np.abs(np.asarray(value)), np.asarray(error)
-    exact = np.where(value > 0, np.inf, 0.0)
-    away = np.where(error > 0, value / np.where(error > 0, error, 1.0), exact)
-    return 2 * scipy.special.stdtr(max(freedom, 1), -away)
 
 
 def solved(

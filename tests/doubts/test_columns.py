@@ -118,7 +118,7 @@ def test_what_is_significant_and_explains_a_third_is_no_cause(columns):
     left_out = 0.5 * doubts["term 3"] + 0.7 * rng.normal(size=4000)
     found = causes(base @ [2.0, -1.0] + left_out, base, doubts)
     (doubt,) = (one for one in found.every if one.name == "term 3")
-    assert found.told(doubt).chance < 1e-9
+    assert found.beside([])[doubt].chance < 1e-9
     assert found.demanded(found.every) == []
 
 

@@ -133,11 +133,14 @@ def test_a_force_behind_a_low_pass_is_named_as_that(samples):
 @pytest.mark.raises_finding("two_clocks")
 @pytest.mark.no_finding("late_signal", "lost_rows")
 def test_a_clock_that_runs_slow_is_told_by_its_rate():
-    (one,), (finding,) = told(recorded(0, delay=200e-6 * np.arange(SAMPLES)))
-    assert one.course.kind == "clocks"
-    assert one.course.change / SAMPLES == pytest.approx(200e-6, rel=0.05)
+    (cause,), (finding,) = told(recorded(0, delay=200e-6 * np.arange(SAMPLES)))
+    assert cause.undone is not None
+    course = cause.undone.course
+    assert course is not None
+    assert course.kind == "clocks"
+    assert course.change / SAMPLES == pytest.approx(200e-6, rel=0.05)
     assert finding.signals == ("F",)
-    assert f"{1e6 * one.course.change / one.course.place[1]:.3g} ppm" in finding.message
+    assert f"{1e6 * course.change / course.place[1]:.3g} ppm" in finding.message
     option, clock = finding.remedy
     assert option == "--clock"
     assert float(clock.removeprefix("F=")) == pytest.approx(200, rel=0.05)
@@ -148,8 +151,10 @@ def test_a_clock_that_runs_slow_is_told_by_its_rate():
 @pytest.mark.parametrize(("lost", "at"), [(1, 2500), (5, 5000), *nightly([(20, 2500)])])
 def test_rows_that_a_force_lost_are_found_where_they_were(lost, at):
     record = recorded(0, delay=-lost * np.heaviside(np.arange(SAMPLES) - at, 0.0))
-    (one,), (finding,) = told(record)
-    assert one.course.change == pytest.approx(-lost, abs=0.05)
+    (cause,), (finding,) = told(record)
+    assert cause.undone is not None
+    assert cause.undone.course is not None
+    assert cause.undone.course.change == pytest.approx(-lost, abs=0.05)
     option, seconds = finding.remedy
     # Before the loss all were in time, however short that part is.
     assert option == "--to"

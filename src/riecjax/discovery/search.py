@@ -98,7 +98,6 @@ class Search:
 
     def __post_init__(self):
         self._alone = self.folds.left(self.kept)
-        self._chances: dict[tuple[str, ...], dict[str, float]] = {}
         self._offer(self.every)
         # What repeats the columns that are kept cannot be told apart from these.
         apart = np.isfinite(self.beside([[]])[0].motion[:-1, 0])
@@ -146,9 +145,7 @@ class Search:
     def chance(self, chosen: Sequence[Candidate], offer: Candidate) -> float:
         """That a candidate which explains nothing stands out as much, any one of all."""
         names = self.names(chosen)
-        if names not in self._chances:
-            self._chances[names] = dict(zip(names, self.folds.chances(names).tolist()))
-        each = min(self._chances[names][column] for column in offer.columns)
+        each = min(self.folds.told(names, column).chance for column in offer.columns)
         return min(each * len(offer.columns) * max(len(self.offers), 1), 1.0)
 
     def found(self) -> list[Candidate]:
@@ -162,14 +159,7 @@ class Search:
                 break
             seen.add(names)
             chosen = settled
-        chosen = self._pruned(chosen)
-        # What gained most may have been left to chance, and hidden what is sure and gains less.
-        while (grown := self._grown(chosen, sure=True)) is not None:
-            more = self._pruned(self._settled(grown))
-            if len(more) <= len(chosen):
-                break
-            chosen = more
-        return chosen
+        return self._pruned(chosen)
 
     def _further(
         self, structures: Sequence[list[Candidate]]
@@ -187,36 +177,26 @@ class Search:
         shares = left.motion.sum(-1)[may] / (self.folds.energy or 1.0)
         return places[np.argsort(np.round(shares, 12), kind="stable")]
 
-    def _grown(self, chosen: list[Candidate], sure: bool = False) -> list[Candidate] | None:
-        """With what gains most, if that is worth a term; of what chance does not explain, if it is
-        to be `sure`."""
+    def _grown(self, chosen: list[Candidate]) -> list[Candidate] | None:
+        """With what gains most, if that is worth a term."""
         before = self.left(chosen)
         left, may = self._further([chosen])
         may &= left.motion.sum(-1) < before.motion.sum()
-        if sure:
-            may &= self._is_worth(before, left)
-        for _, number in self._least_first(left, may):
-            best = [*chosen, self.offers[number]]
-            if sure and self.chance(best, best[-1]) >= RATE:
-                continue
-            grown = self._simpler(best)
+        for _, number in self._least_first(left, may)[:1]:
+            grown = self._simpler([*chosen, self.offers[number]])
             return grown if self._is_worth(before, self.left(grown)) else None
         return None
 
     def _simpler(self, chosen: list[Candidate]) -> list[Candidate]:
-        """With a law without a width instead of the last one, where it predicts about as well and
-        is as sure."""
+        """With a law without a width instead of the last one, where it predicts about as well."""
         *rest, last = chosen
         if last.law is None:
             return chosen
         left, may = self._further([rest])
         may &= ~self._is_worth(left, self.left(chosen))
         may &= [offer.law is None for offer in self.offers]
-        is_doubtful = self.chance(chosen, last) >= RATE
-        for _, number in self._least_first(left, may):
-            simpler = [*rest, self.offers[number]]
-            if is_doubtful or self.chance(simpler, simpler[-1]) < RATE:
-                return simpler
+        for _, number in self._least_first(left, may)[:1]:
+            return [*rest, self.offers[number]]
         return chosen
 
     def _is_worth(self, before: Left, after: Left) -> Any:

@@ -8,8 +8,8 @@ explains nearly as much as the cause is *equivalent*: the recordings hardly tell
 no doubt is the cause alone, two or three may be: the best is admitted, and the rest are tested
 beside it.
 
-What no column of its own remains of beside regressors and target, cannot be tested: the target's
-own gain, or a delay that all signals have.
+What no column of its own remains of beside the regressors, cannot be tested, as a delay that all
+signals have; nor can the target's own gain, whose column explains it whole, at no plausible size.
 """
 
 from collections.abc import Container, Mapping, Sequence
@@ -19,9 +19,8 @@ import numpy as np
 
 from riecjax.doubts.columns import STATES, Doubt
 from riecjax.equations.expressions import constant
-from riecjax.folds import Beside, Folds, Told
+from riecjax.folds import Folds, Told
 from riecjax.leaves import size_of
-from riecjax.linear_algebra import unit_diagonal
 
 LEVEL = 1e-3
 """Probability by chance, over all doubts, below which one is told."""
@@ -45,9 +44,6 @@ OWN = 1e-7
 """Share of a column that is its own beside regressors and target, below which rounding makes it."""
 OWN_NOISE = 0.05
 """The same over the noise in it: no closer is known how much noise there is."""
-WORTH = 4e-6
-"""Share of the target's energy that a doubt explains at the least: less is within reach of what
-sampling and integration do."""
 
 
 @dataclass(eq=False)
@@ -73,15 +69,13 @@ class Causes:
         self.noise = max(float(left.samples.sum()) - self.before, 0.0)
         there = {*self.folds.parameters}
         self.every = [doubt for doubt in self.every if doubt.name in there]
-        self._known: dict[tuple[str, ...], Beside] = {}
+        self._known: dict[tuple[str, ...], dict[Doubt, Told]] = {}
         self._left: dict[frozenset[str], float] = {}
-        own = self._beside([])
         # A column that is its own beyond rounding and noise.
-        testable = own.own > np.maximum(OWN, OWN_NOISE * own.noise)
         self.offered = [
             doubt
-            for doubt, good in zip(self.every, testable.tolist())
-            if good and not (doubt.kind == "gain" and self._is_gain_of_all(doubt))
+            for doubt, told in self.beside([]).items()
+            if told.own > max(OWN, OWN_NOISE * told.noise)
         ]
 
     def of(self, *kinds: str) -> list[Doubt]:
@@ -92,11 +86,12 @@ class Causes:
         """Of the parameters' columns, and those of doubts."""
         return (*self.base, *(doubt.name for doubt in doubts))
 
-    def _beside(self, chosen: Sequence[Doubt]) -> Beside:
-        """Every doubt beside the parameters and those that are chosen."""
+    def beside(self, chosen: Sequence[Doubt]) -> dict[Doubt, Told]:
+        """How much of every doubt there is, beside the parameters and those that are chosen."""
         names = self.names(chosen)
         if names not in self._known:
-            self._known[names] = self.folds.beside(names, [doubt.name for doubt in self.every])
+            told = self.folds.beside(names, [doubt.name for doubt in self.every])
+            self._known[names] = dict(zip(self.every, told, strict=True))
         return self._known[names]
 
     def left(self, doubts: Sequence[Doubt]) -> float:
@@ -119,28 +114,20 @@ class Causes:
         """Whether an energy that is left is hardly more than noise."""
         return left <= max(UNEXPLAINED * self.before, OF_NOISE * self.noise)
 
-    def told(self, doubt: Doubt, beside: Sequence[Doubt] = ()) -> Told:
-        """How much of a doubt there is, beside others."""
-        found, at = self._beside(beside), self.every.index(doubt)
-        return Told(float(found.value[at]), float(found.error[at]), self.folds.number - 1)
-
     def is_sure(self, doubt: Doubt, beside: Sequence[Doubt] = ()) -> bool:
         """Whether neither chance nor rounding makes a doubt, and it is of a plausible size."""
-        told, found = self.told(doubt, beside), self._beside(beside)
-        at = self.every.index(doubt)
-        worth = doubt.kind == "delay" or found.gained[at] > WORTH * self.folds.energy
-        apart = found.own[at] > OWN
+        told = self.beside(beside)[doubt]
         likely = abs(told.value) < self.plausible.get(doubt.name, np.inf)
-        return bool(worth and apart and likely) and told.chance * self.trials < LEVEL
+        return likely and told.own > OWN and told.chance * self.trials < LEVEL
 
     @property
     def is_promising(self) -> bool:
         """Whether any doubt may be a cause, or one of several; or so much is left that a delay may
         be too large for its column."""
-        found = self._beside([])
-        most = max((found.gained[self.every.index(doubt)] for doubt in self.offered), default=0.0)
+        told = self.beside([])
+        most = max((told[doubt].gained for doubt in self.offered), default=0.0)
         enough = PART * max(self.before, OF_NOISE * self.noise)
-        return bool(most > enough or self.before > LOST * self.folds.energy)
+        return most > enough or self.before > LOST * self.folds.energy
 
     def nearest(self, most: int) -> list[Doubt]:
         """All delays; of the other doubts those that gain most by themselves, and beside the best,
@@ -148,13 +135,13 @@ class Causes:
         others, near = self.of(*NO_DELAYS, STATES), self.of("delay")
         best: list[Doubt] = []
         for _ in range(2):
-            gained = self._beside(best).gained
+            told = self.beside(best)
             sure = [
                 doubt
                 for doubt in others
                 if doubt not in near and (self.is_sure(doubt, best) or self._zero_hiding(doubt))
             ]
-            sure.sort(key=lambda doubt: -gained[self.every.index(doubt)])
+            sure.sort(key=lambda doubt: -told[doubt].gained)
             states = [doubt for doubt in sure if doubt.kind == STATES]
             sure = [doubt for doubt in sure if doubt not in states[1:]]
             near += sure[:most]
@@ -229,9 +216,8 @@ class Causes:
     def same_as(self, doubt: Doubt, among: Sequence[Doubt]) -> list[Doubt]:
         """The other doubts whose columns are the same, whatever the recording: the zero of a force
         and a constant force."""
-        own = self._beside([doubt]).own
-        at = {id(one): place for place, one in enumerate(self.every)}
-        return [one for one in among if one is not doubt and not own[at[id(one)]] > OWN]
+        told = self.beside([doubt])
+        return [one for one in among if one is not doubt and not told[one].own > OWN]
 
     def instead(self, chosen: Sequence[Doubt], cause: Doubt) -> list[Doubt]:
         """Doubts that explain what is left in the place of a cause, best first."""
@@ -245,12 +231,6 @@ class Causes:
         ]
         return sorted(others, key=lambda doubt: self.left([*beside, doubt]))
 
-    def is_clear(self, chosen: Sequence[Doubt], cause: Doubt, other: Doubt) -> bool:
-        """Whether another doubt in the place of a cause leaves clearly more."""
-        beside = [doubt for doubt in chosen if doubt is not cause]
-        least = max(CLEARER * self.left(chosen), OF_NOISE * self.noise)
-        return self.left([*beside, other]) > least
-
     def is_zero_of(self, doubt: Doubt, drifting: Sequence[Doubt]) -> bool:
         """Whether a doubt is the zero of a signal that drifts, or a constant that is the same."""
         zeros = [one for one in self.of("zero") if any(one.signals == d.signals for d in drifting)]
@@ -259,11 +239,14 @@ class Causes:
     def is_certain(self, chosen: Sequence[Doubt], cause: Doubt, others: Sequence[Doubt]) -> bool:
         """Whether all others in the place of a cause are the same, drift as well, or leave clearly
         more."""
+        beside = [doubt for doubt in chosen if doubt is not cause]
+        least = max(CLEARER * self.left(chosen), OF_NOISE * self.noise)
         same = self.same_as(cause, others)
-        different = (one for one in others if one not in same)
         return all(
-            one.kind == cause.kind == "drift" or self.is_clear(chosen, cause, one)
-            for one in different
+            other in same
+            or other.kind == cause.kind == "drift"
+            or self.left([*beside, other]) > least
+            for other in others
         )
 
     def _reproduces(self, doubts: Sequence[Doubt]) -> bool:
@@ -279,17 +262,6 @@ class Causes:
             if self.is_little(left) and left <= CLEARER * self.left(chosen):
                 return self._pruned(rest)
         return chosen
-
-    def _is_gain_of_all(self, doubt: Doubt) -> bool:
-        """Whether a gain is that of all that the equations explain, or of their target: it hardly
-        remains beside regressors and target."""
-        motion = self.folds.motion.sum(0)
-        (at,) = self.folds.columns([doubt.name])
-        beside = np.array([0, *self.folds.columns(self.base)])
-        scaled = unit_diagonal(motion)[0]
-        along = np.linalg.pinv(scaled[np.ix_(beside, beside)], 1e-12, hermitian=True)
-        own = scaled[at, at] - scaled[at, beside] @ along @ scaled[beside, at]
-        return not own > OWN
 
 
 def _simplicity(doubt: Doubt) -> int:

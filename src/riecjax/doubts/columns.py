@@ -26,7 +26,7 @@ zero or drift of `REACH` times its range, a delay of `LONGEST` samples and of a 
 import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 import numpy as np
 import scipy.fft
@@ -72,23 +72,26 @@ Course = Callable[[Samples, Samples, Samples], Samples]
 of unit size changes them."""
 
 
-class Element(Protocol):
-    """What a machine may have that no term says, by the column that it adds to an equation: a
-    signal behind a filter."""
+@dataclass(frozen=True)
+class Ringing:
+    """How a mode moves against its body, from rest on: a signal behind a filter.
 
-    @property
-    def signal(self) -> str:
-        """What goes through the filter."""
-        ...
+    **Fields:** `on` which body; the signal whose derivative of an `order` is the body's
+    acceleration, and the `sign` of its inertia in the equation; frequency in `hertz`, and the ratio
+    of `damping`.
+    """
 
-    @property
-    def order(self) -> int:
-        """Derivatives in front of the column."""
-        ...
+    on: str
+    signal: str
+    order: int
+    sign: float
+    hertz: float
+    damping: float
 
     def response(self, s: Complex[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
-        """Of the filter, as Laplace transforms it."""
-        ...
+        """Of the mode's filter as Laplace transforms it, less the signal itself."""
+        w, square = 2 * np.pi * self.hertz, s**2
+        return -self.sign * square / (square + 2 * self.damping * w * s + w**2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +100,7 @@ class Doubt:
 
     **Fields:** `name`, of its column; `kind`; the `signals` that it changes, all by one `course`;
     or the `term` that an `equation` may lack, by its `meaning`, with `memories`, states that it
-    reads and recordings lack; or an `element` of the machine.
+    reads and recordings lack; or the `mode` of a body of it.
     """
 
     name: str
@@ -107,7 +110,7 @@ class Doubt:
     term: AbstractTerm | None = None
     equation: str = ""
     meaning: str = ""
-    element: Element | None = None
+    mode: Ringing | None = None
     memories: tuple[Memory, ...] = ()
 
 
@@ -193,14 +196,14 @@ class _Columns:
     """How one equation's columns are made, with the terms that it may lack.
 
     **Fields:** the `plain` equation, and that of terms which it may have `lacked`; `doubts` of
-    sensors, and of `elements`; `values` of the estimate, of known coefficients too; `criterion`;
+    sensors, and of `modes`; `values` of the estimate, of known coefficients too; `criterion`;
     whose `noise` is taken off.
     """
 
     plain: Equation
     lacked: Equation | None
     doubts: Sequence[Doubt]
-    elements: Sequence[Doubt]
+    modes: Sequence[Doubt]
     values: Mapping[str, float]
     criterion: AbstractCriterion
     noise: str
@@ -212,7 +215,7 @@ class _Columns:
         criterion, smoothness = self.criterion, self.criterion.smoothness
         read = self.plain.signals_read(record, smoothness)
         sensors = [doubt for doubt in self.doubts if read & {*doubt.signals}]
-        elements = [doubt.element for doubt in self.elements if doubt.element is not None]
+        modes = [doubt.mode for doubt in self.modes if doubt.mode is not None]
         touched = sorted({name for doubt in sensors for name in doubt.signals if name in read})
         slopes = {name: self._slope(record, name) for name in touched}
         time = np.asarray(record.elapsed, float)
@@ -242,12 +245,14 @@ class _Columns:
             # Twice as long, so that no end of the response comes round.
             size = 2 * int(scipy.fft.next_fast_len(time.size, real=True) or time.size)
             s = 2j * np.pi * np.fft.rfftfreq(size, float(of.time_step))
-            samples = {name: np.asarray(of.arrays[name]) for name in {e.signal for e in elements}}
+            samples = {
+                name: np.asarray(of.arrays[name]) for name in {mode.signal for mode in modes}
+            }
             spectra = {name: np.fft.rfft(x - x.mean(), size) for name, x in samples.items()}
-            for element in elements:
+            for mode in modes:
                 column = np.zeros((1 + smoothness, time.size))
-                behind = np.fft.irfft(spectra[element.signal] * element.response(s), size)
-                column[element.order] = behind[: time.size]
+                behind = np.fft.irfft(spectra[mode.signal] * mode.response(s), size)
+                column[mode.order] = behind[: time.size]
                 yield column
 
         def integrated(columns: Iterable[Values]) -> Windowed:
@@ -265,7 +270,7 @@ class _Columns:
             yield from changed(side) if every else ()
 
         columns = [name for each in own for name in each.parameters]
-        columns += [doubt.name for doubt in (*sensors, *self.elements)]
+        columns += [doubt.name for doubt in (*sensors, *self.modes)]
         rows = integrated(itertools.chain(by_column(*own), changed(record), ringing(record)))
         added = np.zeros((folds, len(rows), len(rows)))
         if any(record.noise.kernels.get(name) for name in read):
@@ -304,15 +309,14 @@ class Asked(NamedTuple):
     def resting_on_earlier(self) -> set[str]:
         """Names of equations that take what earlier stages found as known: what these leave may be
         an error of those."""
-        found, earlier = set[str](), set[str]()
+        resting, earlier = set[str](), set[str]()
         for number, (names, stage) in enumerate(zip(self.model.equation_names, self.model.stages)):
             for name, equation in zip(names, stage, strict=True):
                 taken = earlier & {*equation.parameters} - {*self.known}
-                found |= (
-                    {name} if any(f"{number}.{one}" not in self.base for one in taken) else set()
-                )
+                if any(f"{number}.{one}" not in self.base for one in taken):
+                    resting.add(name)
             earlier |= {name for equation in stage for name in equation.parameters}
-        return found
+        return resting
 
     def with_values(self, found: Mapping[str, float]) -> "Asked":
         """The same with the values of columns, each parameter's in the first stage that has it."""
@@ -371,13 +375,13 @@ def folds_of(
                 continue
             own = with_all.terms[len(equation.terms) :]
             lacked = equation.of_terms(*own) if own else None
-            inside = [one for one in doubts if one.element is not None and one.equation == name]
-            columns = _Columns(equation, lacked, sensors, inside, values, criterion, noise)
+            modes = [doubt for doubt in doubts if doubt.mode is not None and doubt.equation == name]
+            columns = _Columns(equation, lacked, sensors, modes, values, criterion, noise)
             of_each = zip(records, windows, copies, strict=True)
             parts.append(_joined([columns.rows(*one, count) for one in of_each]))
         if parts:
-            names = {doubt.name for doubt in doubts}
-            stages.append(_of_stage(parts, f"{number}.", asked, earlier, names))
+            doubted = {doubt.name for doubt in doubts}
+            stages.append(_of_stage(parts, f"{number}.", asked, earlier, doubted))
         earlier |= values_here
     names = tuple(dict.fromkeys(name for stage in stages for name in stage.names))
     samples = np.zeros((count, 1 + len(names), 1 + len(names)))
@@ -439,7 +443,8 @@ LONGEST_SHARE = 20
 REACH = 3.0
 """Ranges of a signal, its mean included, that its zero is off by at the most."""
 GAIN = 0.5
-"""The most that a gain is off by: other units and signs are seen before."""
+"""The most that a gain is off by: other units and signs are seen before. That of a whole target,
+whose column explains the target by itself, is one."""
 JUMPS = 7
 """Places along a record at which rows may have been lost."""
 
@@ -490,7 +495,7 @@ def courses_of(signals: tuple[str, ...]) -> Iterator[Doubt]:
         def jump(samples: Samples, rate: Samples, time: Samples, place: float = place) -> Samples:
             return np.where(_share(time) > place, -rate, 0.0)
 
-        yield Doubt(f"rows of {name} at {place:.3f}", "rows", signals, jump)
+        yield Doubt(f"rows of {name} at {place:.3f}", "clock", signals, jump)
 
 
 def _share(time: Samples) -> Samples:
@@ -507,18 +512,10 @@ def sensors(model: Model, records: Sequence[Record], read: set[str]) -> list[Dou
     known = {t.signal for e in model.equations for t in e.terms if not t.parameters}
     for name in sorted(read, key=lambda name: (name not in known, name)):
         found.append(zero_of(name))
-        # That of a whole target scales the parameters.
-        if not _is_target(model, name):
-            found.append(Doubt(f"gain of {name}", "gain", (name,), lambda samples, *_: samples))
+        found.append(Doubt(f"gain of {name}", "gain", (name,), lambda samples, *_: samples))
         if len(records) == 1:
             found.append(drift_of(name))
     return found
-
-
-def _is_target(model: Model, name: str) -> bool:
-    """Whether a signal alone is what the equations that know terms of it have to explain."""
-    known = [[t.signal for t in e.terms if not t.parameters] for e in model.equations]
-    return any({*signals} == {name} for signals in known)
 
 
 def plausible(doubts: Sequence[Doubt], records: Sequence[Record]) -> Mapping[str, float]:

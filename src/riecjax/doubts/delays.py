@@ -25,12 +25,10 @@ from riecjax import tails
 from riecjax.doubts.causes import LEVEL
 from riecjax.doubts.columns import Asked, Doubt, folds_of, longest_delay
 from riecjax.errors import DataError
-from riecjax.findings import option_for
 from riecjax.folds import Folds, Told, solved
 from riecjax.records.preparation.filtering import unfilter
 from riecjax.records.preparation.resampling import shift
 from riecjax.records.record import Record
-from riecjax.records.time_base import PPM
 
 TURNS = 8
 """Times that a delay is undone and taken again at the most."""
@@ -42,26 +40,45 @@ TURN = 1.0
 """Radians of the usual motion that a step of a delay is at the most."""
 
 
+class Course(NamedTuple):
+    """How a delay changes along the record.
+
+    **Fields:** `kind`: "clocks" for one that grows evenly, "rows" for a sudden change; `change`
+    over the record in samples; `place` of a sudden change, first and last sample; `first`, the
+    delay at the start; F-statistic against a steady delay.
+    """
+
+    kind: str
+    change: float
+    place: tuple[int, int]
+    first: float
+    statistic: float = 0.0
+
+    @property
+    def last(self) -> float:
+        """The delay at the end."""
+        return self.first + self.change
+
+
 class Settled(NamedTuple):
     """How much of a doubt there is, once that is undone.
 
-    **Fields:** `signals`; `size` in the unit of its column, seconds of a delay, or of the time
-    constant of a first-order low-pass where it is `low_passed`; standard `error` and `reach`, half
-    an interval at the level of an answer; `left` beyond noise and `noise`, as shares of the
-    target's energy; `values` of parameters by stage and name; seconds between samples, `step`;
-    whether delay and low-pass are told apart for `certain`.
+    **Fields:** `size` in the unit of its column, seconds of a delay, or of the time constant of a
+    first-order low-pass where it is `low_passed`; standard `error` and `reach`, half an interval at
+    the level of an answer; what is `left` beyond noise, as a share of the target's energy; `values`
+    of parameters by stage and name; seconds between samples, `step`; whether delay and low-pass are
+    told apart for `certain`; `course` of a delay that changes, which has no size.
     """
 
-    signals: tuple[str, ...]
     size: float
     error: float
     reach: float
     left: float
-    noise: float
     values: dict[str, float]
     step: float
     low_passed: bool = False
     certain: bool = True
+    course: Course | None = None
 
     @property
     def samples(self) -> float:
@@ -91,10 +108,8 @@ def settled(
         if not (np.isfinite(told.value) and np.isfinite(told.error)):
             return None
         if abs(told.value) <= max(SETTLED * told.error, 1e-9 * most) or turn == TURNS - 1:
-            left = folds.left(names)
-            energies = float(left.motion.sum()), float(left.samples.sum())
-            found = settled_at(doubt, size, told, folds, names, energies, step)
-            return found._replace(low_passed=lagged)
+            left = float(folds.left(names).motion.sum())
+            return settled_at(size, told, folds, names, left, step)._replace(low_passed=lagged)
         asked = asked.with_values(
             dict(zip((*names, doubt.name), folds.fitted((*names, doubt.name))))
         )
@@ -105,21 +120,13 @@ def settled(
 
 
 def settled_at(
-    doubt: Doubt,
-    size: float,
-    told: Told,
-    folds: Folds,
-    names: Sequence[str],
-    left: tuple[float, float],
-    step: float,
+    size: float, told: Told, folds: Folds, names: Sequence[str], left: float, step: float
 ) -> Settled:
     """So much of a doubt, of which a column was `told` beside those of these names, which leave
-    energies of the motion and of the samples."""
+    an energy of the motion."""
     values = dict(zip(names, folds.fitted(names).tolist()))
     reach = float(tails.student(LEVEL / 2, told.freedom)) * told.error
-    motion, samples = (energy / folds.energy for energy in left)
-    noise = max(samples - motion, 0.0)
-    return Settled(doubt.signals, size, told.error, reach, motion, noise, values, step)
+    return Settled(size, told.error, reach, left / folds.energy, values, step)
 
 
 def low_pass_of(asked: Asked, records: Sequence[Record], delay: Doubt, size: float) -> Told | None:
@@ -133,8 +140,7 @@ def low_pass_of(asked: Asked, records: Sequence[Record], delay: Doubt, size: flo
         return None
     bend = Doubt("bend", "gain", delay.signals, lambda samples, rate, time: _slope(rate, time))
     folds = folds_of(asked, undone, [delay, bend])
-    told = folds.told(folds.parameters, bend.name)
-    return Told(2 * told.value / size**2, 2 * told.error / size**2, told.freedom)
+    return folds.told(folds.parameters, bend.name).times(2 / size**2)
 
 
 def _slope(values: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -199,101 +205,39 @@ FARTHEST = 20
 """Samples to either side of the delay of all that those of parts are looked for."""
 
 
-class Course(NamedTuple):
-    """How a delay changes along the record.
-
-    **Fields:** `kind`: "steady", "clocks" for one that grows evenly, "rows" for a sudden change;
-    `change` over the record in samples and its standard error; `place` of a sudden change, first
-    and last sample; `first`, the delay at the start.
-    """
-
-    kind: str = "steady"
-    change: float = 0.0
-    error: float = 0.0
-    place: tuple[int, int] = (0, 0)
-    first: float = 0.0
-
-    def in_time(self, start: float, stop: float) -> tuple[str, str]:
-        """Options for the part with the least delay, of those before and after a sudden change.
-
-        What lost rows is early from there on; what agrees with it there is no better for it.
-        """
-        before = abs(self.first) <= abs(self.first + self.change)
-        return ("--to", f"{start:.7g}") if before else ("--from", f"{stop:.7g}")
-
-    def by_one_clock(
-        self, late: Sequence[str], ppm: float, step: float, start: float
-    ) -> tuple[str, ...]:
-        """Options that bring what falls behind by so many millionths to the time of the others.
-
-        Clocks are set from the recording's first sample on, `start` seconds before what was
-        looked at.
-        """
-        first = self.first * step - PPM * ppm * start
-        shifted = late if abs(first) > LEAST["clocks"] * step else ()
-        return (
-            *option_for("--shift", shifted, f"{first:.4g}"),
-            *option_for("--clock", late, f"{ppm:.5g}"),
-        )
-
-    @property
-    def way(self) -> str:
-        """What the signal does whose delay changes evenly."""
-        return "falls behind" if self.change > 0 else "gets ahead of"
-
-    @property
-    def lasts(self) -> str:
-        """The delay at the start and at the end, in words."""
-        return f"from {self.first:.3g} to {self.first + self.change:.3g} samples"
-
-
 def changing(delays: Float[np.ndarray, "4 parts"], edges: Sequence[int]) -> tuple[Course, float]:
     """The course that explains the delays best, and the chi-square that it leaves."""
     first, last = delays[2:]
     ones, size = np.ones(first.size), first.size
-    left, coefficients, errors = _left(delays, np.array([ones, 0.5 * (first + last) / edges[-1]]))
-    best = Course("clocks", coefficients[1], errors[1], (0, edges[-1]), coefficients[0]), left
+    left, (start, change) = _left(delays, np.array([ones, 0.5 * (first + last) / edges[-1]]))
+    best = Course("clocks", change, (0, edges[-1]), start), left
     # The change lies between two parts, or within one, which then says nothing; two are behind it.
     for k, stop in ((k, k + within) for k in range(2, size - 1) for within in (0, 1)):
         if stop <= size - 2:
             rows = np.array([ones, np.arange(size) >= stop, *np.eye(size)[k:stop]])
-            left, coefficients, errors = _left(delays, rows)
+            left, (start, change, *_) = _left(delays, rows)
             if left + 4 < best[1]:
-                place = int(first[stop - 1]), int(last[k])
-                best = Course("rows", coefficients[1], errors[1], place, coefficients[0]), left
+                best = Course("rows", change, (int(first[stop - 1]), int(last[k])), start), left
     return best
 
 
-def _left(
-    delays: np.ndarray, rows: np.ndarray
-) -> tuple[float, Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
-    """Chi-square that a weighted least-squares fit leaves; its coefficients and their errors."""
+def _left(delays: np.ndarray, rows: np.ndarray) -> tuple[float, Float[np.ndarray, " rows"]]:
+    """Chi-square that a weighted least-squares fit leaves; its coefficients."""
     values, errors = delays[:2]
-    inverse = np.linalg.pinv((rows / errors).T)
-    coefficients = inverse @ (values / errors)
+    coefficients = np.linalg.pinv((rows / errors).T) @ (values / errors)
     left = (values - coefficients @ rows) / errors
-    return float(left @ left), coefficients, np.sqrt(np.sum(inverse**2, axis=1))
-
-
-class Followed(NamedTuple):
-    """The course of a delay; energy left beyond noise, over the target's, with each part at its own
-    delay; values of parameters; the course's F-statistic against a steady one."""
-
-    course: Course
-    left: float
-    values: dict[str, float]
-    statistic: float
+    return float(left @ left), coefficients
 
 
 @dataclass
 class Shifts:
-    """Sums by fold of records, some signals of which are advanced by whole samples; a course is
-    `certain` from this F-statistic on."""
+    """Sums by fold of records, some signals of which are advanced by whole samples; whether the
+    equations are `exact` but for noise."""
 
     asked: Asked
     records: Sequence[Record]
     signals: tuple[str, ...]
-    certain: float = CERTAIN
+    exact: bool = False
     known: dict[int, Folds] = field(default_factory=dict)
 
     def __post_init__(self):
@@ -326,32 +270,33 @@ class Shifts:
 
         return min(self.every, key=left)
 
-    def course(self, middle: int, large: bool) -> Followed | None:
+    def course(self, middle: int, large: bool) -> Settled | None:
         """The course of a delay about this one, if it is none that stays.
 
         **Arguments:** `large`, whether it may be of any size.
         """
         near = self._among(range(middle - 1, middle + 2))
-        found = near is not None and self._changes(near, SLIGHT)
-        if not found:
+        if near is None or not self._changes(near, SLIGHT):
             # Parts whose delays are far from the middle one are not told by three next to it.
-            far = self._among(self.every)
-            found = far is None or self._changes(far, 1.0)
-            middle = 0
-        if not found:
-            return None
+            far, middle = self._among(self.every), 0
+            if far is not None and not self._changes(far, 1.0):
+                return None
         most = self.reach if large else FARTHEST
         first, last = max(middle - most, -self.reach), min(middle + most, self.reach)
         best = self._among(range(first, last + 1))
-        if best is None or best.statistic < self.certain:
+        if best is None or best.course is None:
+            return None
+        chance = float(tails.student(LEVEL / 2, self.sums(middle).number - 3)) ** 2
+        if best.course.statistic < (chance if self.exact else CERTAIN):
             return None
         return best if abs(best.course.change) > LEAST[best.course.kind] else None
 
-    def _changes(self, found: Followed, least: float) -> bool:
-        return found.statistic > PERHAPS and abs(found.course.change) > least
+    def _changes(self, found: Settled, least: float) -> bool:
+        course = found.course
+        return course is not None and course.statistic > PERHAPS and abs(course.change) > least
 
-    def _among(self, counts: range) -> Followed | None:
-        """The best course with delays among these."""
+    def _among(self, counts: range) -> Settled | None:
+        """The best course with delays among these, each part at its own."""
         every = [self.sums(count) for count in counts]
         folds, names = every[0].number, every[0].parameters
         if folds < FEWEST_PARTS or len(every) < 3 or any(one.number != folds for one in every):
@@ -410,7 +355,15 @@ class Shifts:
         v = row(weights)
         left = float(np.einsum("kf,i,kfij,j->", weights, v, motion, v))
         energy = float(np.sum(weights * samples[:, :, 0, 0]))
-        return Followed(course, left / energy, dict(zip(names, (-v[1:]).tolist())), statistic)
+        return Settled(
+            0.0,
+            np.nan,
+            np.nan,
+            left / energy,
+            dict(zip(names, (-v[1:]).tolist())),
+            float(self.records[0].time_step),
+            course=course._replace(statistic=statistic),
+        )
 
 
 def advanced(record: Record, signals: Sequence[str], count: int, reach: int) -> Record:

@@ -14,19 +14,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax import tails
 from riecjax.doubts.causes import CLEARER, FEWEST, LEVEL, LOST, NO_DELAYS, OF_NOISE, Causes
 from riecjax.doubts.columns import (
     STATES,
     Asked,
     Doubt,
+    Ringing,
     folds_of,
     longest_delay,
     plausible,
     sensors,
 )
 from riecjax.doubts.delays import (
-    CERTAIN,
+    LEAST,
     SMALLEST,
     Course,
     Settled,
@@ -34,13 +34,14 @@ from riecjax.doubts.delays import (
     low_pass_of,
     settled,
 )
-from riecjax.doubts.modes import Ringing, best_mode
+from riecjax.doubts.modes import best_mode
 from riecjax.equations import expressions
 from riecjax.equations.model import Model
 from riecjax.equations.motions import per
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, option_for
 from riecjax.records.record import Record
+from riecjax.records.time_base import PPM
 from riecjax.summaries.summarise import signals_read
 
 HALF = 0.5
@@ -65,7 +66,7 @@ class Cause(NamedTuple):
 
     **Fields:** `doubt`; its `size` in the unit of its column; rms that is left beyond noise with
     it, `left`, and without, `before`, as shares of the target's; `moved`, shares by which
-    parameters change with it; what is found once it is `undone`; `course` of a delay that changes;
+    parameters change with it; what is found once it is `undone`;
     `offset` of what drifts at the record's middle; `instead`, other doubts that explain nearly as
     much, of which some are the `same` column, and `certain`, whether all others leave clearly more.
     """
@@ -76,7 +77,6 @@ class Cause(NamedTuple):
     left: float
     moved: Mapping[str, float]
     undone: Settled | None = None
-    course: Course = Course()
     offset: float = 0.0
     certain: bool = True
     instead: tuple[Doubt, ...] = ()
@@ -86,14 +86,13 @@ class Cause(NamedTuple):
 @dataclass(eq=False)
 class Weighing:
     """What is `asked`, on records: doubts that may be a cause, as `causes`; signals whose delay may
-    be `changing` along a record; whether a mode may be the cause where no doubt is, `ringing`, or
-    the equation `is_exact` but for noise."""
+    be `changing` along a record; whether the equation `is_exact` but for noise, or may leave out
+    what rough shapes explain, hysteresis and modes."""
 
     asked: Asked
     records: Sequence[Record]
     causes: Causes
     changing: Collection[tuple[str, ...]] = ()
-    ringing: bool = False
     is_exact: bool = False
 
     @classmethod
@@ -102,7 +101,6 @@ class Weighing:
         asked: Asked,
         records: Sequence[Record],
         doubts: Sequence[Doubt],
-        ringing: bool = False,
         is_exact: bool = False,
         is_moot: Callable[[Causes], bool] = lambda rough: False,
     ) -> "Weighing":
@@ -118,103 +116,87 @@ class Weighing:
             rough = Causes(folds_of(asked, records, doubts, "plain"), doubts, sizes)
         asked = asked._replace(base=rough.base)
         # An equation that leaves out nothing is not explained by what is significant by chance.
-        is_promising = rough.is_promising
-        if is_exact:
-            is_promising = is_promising or any(map(rough.is_sure, rough.offered))
+        is_promising = rough.is_promising or (is_exact and any(map(rough.is_sure, rough.offered)))
         if not is_promising or is_moot(rough):
             rough.offered = []
-            return cls(asked, records, rough, (), ringing, is_exact)
-        fixed = asked.resting_on_earlier
-        near = [doubt for doubt in rough.nearest(NEAR) if doubt.equation not in fixed]
+            return cls(asked, records, rough, (), is_exact)
+        resting = asked.resting_on_earlier
+        near = [doubt for doubt in rough.nearest(NEAR) if doubt.equation not in resting]
         folds = folds_of(asked, records, near)
         delays = {doubt.signals: [doubt] for doubt in rough.of("delay")}
         changing = {
             one.signals
-            for one in rough.of("clock", "rows")
+            for one in rough.of("clock")
             if rough.is_sure(one) or rough.is_sure(one, delays.get(one.signals, []))
         }
         causes = Causes(folds, near, sizes, rough.trials)
-        return cls(asked, records, causes, changing, ringing, is_exact)
+        return cls(asked, records, causes, changing, is_exact)
 
     def found(self) -> list[Cause]:
         """What the data demand; nothing where nothing explains what is left."""
         causes = self.causes
-        known = {one: found for one in causes.of("zero", "gain") if (found := self._curved(one))}
         # Rough shapes, of hysteresis and of modes, tell nothing of what is little.
         is_notable = causes.before > NOTABLE**2 * causes.folds.energy
         others = causes.of(*NO_DELAYS, *([STATES] if is_notable else []))
         # Where something else explains what is left, no delay is too large for its column.
-        large = causes.before > LOST * causes.folds.energy and not any(
+        explained = any(
             causes.is_sure(one) and causes.is_little(causes.left([one])) for one in others
         )
-        for one in causes.of("delay"):
-            if (found := self._delay(one, large)) is not None:
-                known[one] = found
-        for doubt, one in known.items():
-            causes.settle(doubt, one.left * causes.folds.energy)
+        large = causes.before > LOST * causes.folds.energy and not explained
+        known = dict[Doubt, Settled]()
+        for doubt in causes.of("zero", "gain", "delay"):
+            is_delay = doubt.kind == "delay"
+            undone = self._undone(doubt, large and is_delay)
+            if is_delay and not explained:
+                undone = self._followed(doubt, undone, large) or undone
+            if undone is not None:
+                known[doubt] = undone
+                causes.settle(doubt, undone.left * causes.folds.energy)
         delays = [doubt for doubt in known if doubt.kind == "delay"]
         chosen = causes.demanded([*delays, *others], sure=known)
         drifting = [doubt for doubt in chosen if doubt.kind == "drift"]
         chosen = [doubt for doubt in chosen if not causes.is_zero_of(doubt, drifting)]
-        if not chosen:
-            one = self._followed(known)
-            if one is None and is_notable and self.ringing:
-                one = self._hysteresis() or self._mode()
-                # A rough shape is no cause where a delay explains more.
-                best = min(delays, key=lambda delay: causes.left([delay]), default=None)
-                if one and best and causes.rms(causes.left([best])) < one.left:
-                    one = self._cause(best, [best], known[best])
-            return [] if one is None else [one]
-        if [doubt.kind for doubt in chosen] == ["delay"] and self._is_changing(chosen[0]):
-            one = self._followed(known)
-            if one is not None and CLEARER * one.left**2 < causes.rms(causes.left(chosen)) ** 2:
-                return [one]
-        return [self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen]
-
-    def _is_changing(self, doubt: Doubt) -> bool:
-        """Whether a delay may change along the record, and a steady one leaves more than noise."""
-        left = self.causes.left([doubt])
-        return doubt.signals in self.changing and left > OF_NOISE * self.causes.noise
-
-    def _near(self, doubt: Doubt) -> bool:
-        """Whether a doubt may be a cause, as far as its column tells."""
-        causes = self.causes
-        return causes.is_sure(doubt) and causes.left([doubt]) < HALF * causes.before
+        if chosen or self.is_exact or not is_notable:
+            return [self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen]
+        rough = self._hysteresis() or self._mode()
+        # A rough shape is no cause where a delay explains more.
+        best = min(delays, key=lambda delay: causes.left([delay]), default=None)
+        if rough and best and causes.rms(causes.left([best])) < rough.left:
+            rough = self._cause(best, [best], known[best])
+        return [] if rough is None else [rough]
 
     def _settled(self, doubt: Doubt, start: float = 0.0, lagged: bool = False) -> Settled | None:
         most = self.causes.plausible[doubt.name]
         return settled(self.asked, self.records, doubt, most, start, lagged)
 
-    def _delay(self, doubt: Doubt, large: bool) -> Settled | None:
-        """A delay once it is undone, or the low-pass that leaves less, if it is no chance; one that
-        may be too `large` for its column is looked for farther away."""
+    def _undone(self, doubt: Doubt, large: bool) -> Settled | None:
+        """A delay, zero or gain once it is undone, since its column is right to first order alone,
+        if it is no chance; of a delay the low-pass that leaves less. One that may be too `large`
+        for its column is looked for farther away."""
         causes, energy = self.causes, self.causes.folds.energy
-        if not (large or self._near(doubt)):
+        near = causes.is_sure(doubt) and causes.left([doubt]) < HALF * causes.before
+        # What is the same as a constant is right as it is.
+        is_straight = doubt.kind != "delay" and causes.same_as(doubt, causes.of("zero", "term"))
+        if is_straight or not (large or near):
             return None
         found = self._settled(doubt)
         if large and (found is None or not causes.is_little(found.left * energy)):
             start = Shifts(self.asked, self.records, doubt.signals).start()
             found = self._settled(doubt, start * float(self.records[0].time_step))
-        if found is None or not (abs(found.size) > found.reach and abs(found.samples) > SMALLEST):
+        if found is None or not abs(found.size) > found.reach:
             return None
-        if found.size < 0:
+        if doubt.kind == "delay" and not abs(found.samples) > SMALLEST:
+            return None
+        if doubt.kind != "delay" or found.size < 0:
             return found
         share = low_pass_of(self.asked, self.records, doubt, found.size)
         if share is not None:
-            is_bent, is_late = share.chance < LEVEL, share.less(1.0).chance < LEVEL
+            of_delay = share._replace(value=share.value - 1)
+            is_bent, is_late = share.chance < LEVEL, of_delay.chance < LEVEL
             if is_bent and share.value > HALF:
                 return self._settled(doubt, found.size, lagged=True) or found
             found = found._replace(certain=is_late)
         return found
-
-    def _curved(self, doubt: Doubt) -> Settled | None:
-        """A zero or gain once it is undone, where its column is right to first order alone; what is
-        the same as a constant is right as it is."""
-        causes = self.causes
-        if not self._near(doubt) or causes.same_as(doubt, causes.of("zero", "term")):
-            return None
-        found = self._settled(doubt)
-        return found if found is not None and abs(found.size) > found.reach else None
 
     def _cause(
         self,
@@ -232,7 +214,8 @@ class Weighing:
         chosen = [*chosen, *zeros]
         names, without = causes.names(chosen), causes.names(beside)
         after = dict(zip(names, folds.fitted(names).tolist()))
-        instead = causes.instead(chosen, doubt)
+        # Of delays that change the best is told.
+        instead = [] if undone is not None and undone.course else causes.instead(chosen, doubt)
         return Cause(
             doubt,
             after[doubt.name] if undone is None else undone.size,
@@ -249,29 +232,23 @@ class Weighing:
             instead=tuple(instead),
         )
 
-    def _followed(self, delays: Mapping[Doubt, Settled]) -> Cause | None:
-        """The delay of a single record that changes along it, if that explains what is left."""
+    def _followed(self, doubt: Doubt, steady: Settled | None, large: bool) -> Settled | None:
+        """The delay of a single record that changes along it, if that explains what is left, and
+        clearly more of it than one that stays."""
         causes, energy = self.causes, self.causes.folds.energy
         is_visible = self.is_exact or causes.before > VISIBLE**2 * energy
-        if len(self.records) > 1 or not is_visible:
+        may_change = large or doubt.signals in self.changing
+        if len(self.records) > 1 or not (may_change and is_visible):
             return None
-        best, large = list[Cause](), causes.before > LOST * energy
-        for doubt in causes.of("delay"):
-            if not (large or doubt.signals in self.changing):
-                continue
-            certain = CERTAIN
-            if self.is_exact:
-                certain = float(tails.student(LEVEL / 2, causes.folds.number - 3)) ** 2
-            shifts = Shifts(self.asked, self.records, doubt.signals, certain)
-            middle = delays[doubt].size if doubt in delays else 0.0
-            followed = shifts.course(round(middle / float(self.records[0].time_step)), large)
-            if followed is None or not causes.is_little(followed.left * energy):
-                continue
-            unmoved = dict(zip(causes.base, causes.folds.fitted(causes.base).tolist()))
-            moved = self._moved(followed.values, unmoved)
-            before, left = causes.rms(causes.before), causes.rms(followed.left * energy)
-            best.append(Cause(doubt, 0.0, before, left, moved, course=followed.course))
-        return min(best, key=lambda cause: cause.left, default=None)
+        if steady is not None and energy * steady.left <= OF_NOISE * causes.noise:
+            return None
+        shifts = Shifts(self.asked, self.records, doubt.signals, self.is_exact)
+        found = shifts.course(0 if steady is None else round(steady.samples), large)
+        if found is None or not causes.is_little(energy * found.left):
+            return None
+        if steady is None or not causes.is_little(energy * steady.left):
+            return found
+        return found if CLEARER * found.left < steady.left else None
 
     def _hysteresis(self) -> Cause | None:
         """Hysteresis that explains what is left roughly, as no term does."""
@@ -310,17 +287,12 @@ class Weighing:
         return found
 
 
-def nothing(model: Model, records: Sequence[Record]) -> Sequence[Doubt]:
-    """No term that a model may lack."""
-    return ()
-
-
 @np.errstate(all="ignore")
 def demanded(
     model: Model,
     records: Sequence[Record],
     estimate: Estimate,
-    lacked: Callable[[Model, Sequence[Record]], Sequence[Doubt]] = nothing,
+    lacked: Callable[[Model, Sequence[Record]], Sequence[Doubt]] = lambda model, records: (),
 ) -> list[Cause]:
     """What the data demand, of what may be amiss (not under jit).
 
@@ -339,7 +311,7 @@ def demanded(
     read = {n for each in records for n in signals_read(model, each, criterion, summed=True)}
     doubts = [*sensors(model, records, read), *lacked(model, records)]
     try:
-        weighing = Weighing.of(Asked.of(model, estimate), records, doubts, ringing=True)
+        weighing = Weighing.of(Asked.of(model, estimate), records, doubts)
         return [cause for cause in weighing.found() if _matters(cause, estimate)]
     except np.linalg.LinAlgError:  # of samples whose products are no numbers
         return []
@@ -388,12 +360,12 @@ def finding_of(
         names = tuple(state.velocity for state in cause.doubt.memories)
     elif cause.doubt.term is not None and not names:
         names = expressions.signals_read(cause.doubt.term.of)
-    if isinstance(cause.doubt.element, Ringing):
-        names = (cause.doubt.element.on,)
-    if cause.course.kind != "steady":
-        said = _of_course(cause, records[0])
+    elif cause.doubt.mode is not None:
+        names = (cause.doubt.mode.on,)
+    if cause.undone is not None and cause.undone.course is not None:
+        said = _of_course(names, cause.undone.course, records[0])
     elif cause.doubt.kind == "delay" and cause.undone is not None:
-        said = _of_delay(cause.undone, against.says)
+        said = _of_delay(names, cause.undone, against.says)
     else:
         said = _of_size(cause, model, records[0], against.says)
     most = max(cause.moved, key=lambda name: abs(cause.moved[name]), default="")
@@ -430,12 +402,12 @@ def described(doubt: Doubt) -> str:
     return f"a {doubt.name}"
 
 
-def _of_delay(delay: Settled, says: str) -> _Said:
-    names = " and ".join(delay.signals)
+def _of_delay(signals: Sequence[str], delay: Settled, says: str) -> _Said:
+    names = " and ".join(signals)
     milliseconds = f"{1e3 * abs(delay.size):.3g} ms"
     size = f"{milliseconds} ({abs(delay.samples):.3g} samples, +-{1e3 * delay.reach:.2g} ms)"
     if delay.low_passed:
-        remedy = option_for("--unfilter", delay.signals, f"{delay.size:.4g}")
+        remedy = option_for("--unfilter", signals, f"{delay.size:.4g}")
         return _Said(
             "low_passed",
             f"{names}: behind a first-order low-pass with a time constant of {size}, a cut-off at "
@@ -444,45 +416,51 @@ def _of_delay(delay: Settled, says: str) -> _Said:
             remedy,
             f"Undo the low-pass of {names}",
         )
-    remedy = option_for("--shift", delay.signals, f"{delay.size:.4g}")
+    remedy = option_for("--shift", signals, f"{delay.size:.4g}")
     way = f"earlier than {says}: all others are late, or low-passed"
     if delay.size > 0:
         way = f"later than {says}{'' if delay.certain else ', or low-passed'}"
     return _Said(
         "late_signal",
-        f"{names} come{'s' * (len(delay.signals) == 1)} {size} {way}",
+        f"{names} come{'s' * (len(signals) == 1)} {size} {way}",
         f"Shift it (on the command line: {shlex.join(remedy)}), or record all by one clock.",
         remedy,
         f"{'Advance' if delay.size > 0 else 'Delay'} {names} by {milliseconds}",
     )
 
 
-def _of_course(cause: Cause, record: Record) -> _Said:
-    signals, course, step = cause.doubt.signals, cause.course, float(record.time_step)
-    names, time = " and ".join(signals), np.asarray(record.elapsed)
+def _of_course(signals: Sequence[str], course: Course, record: Record) -> _Said:
+    names, time, step = " and ".join(signals), np.asarray(record.elapsed), float(record.time_step)
+    lasts = f"from {course.first:.3g} to {course.last:.3g} samples"
     if course.kind == "clocks":
         # Clocks go on through pauses.
         samples = float(time[-1] - time[0]) / step / (time.size - 1)
         rate = 1e6 * course.change / (course.place[1] - course.place[0]) / samples
-        remedy = course.by_one_clock(signals, rate, step, float(time[0]))
+        # They are set from the recording's first sample on, before what was looked at.
+        first = course.first * step - PPM * rate * float(time[0])
+        shifted = signals if abs(first) > LEAST["clocks"] * step else ()
+        remedy = (
+            *option_for("--shift", shifted, f"{first:.4g}"),
+            *option_for("--clock", signals, f"{rate:.5g}"),
+        )
+        way = "falls behind" if course.change > 0 else "gets ahead of"
         action = f"Set the clock of {names}, or record it by that of the others"
         return _Said(
             "two_clocks",
-            f"{names} {course.way} the others evenly, {course.lasts}: its clock differs by "
-            f"{rate:.3g} ppm",
+            f"{names} {way} the others evenly, {lasts}: its clock differs by {rate:.3g} ppm",
             f"{action} ({shlex.join(remedy)}).",
             remedy,
             action,
         )
     reach = longest_delay([record])
     first, last = (time[min(place + reach, time.size - 1)] for place in course.place)
-    remedy, action = (
-        course.in_time(first, last),
-        "Use the part of the record in which it is in time",
-    )
+    # What lost rows is early from there on; what agrees with it there is no better for it.
+    is_before = abs(course.first) <= abs(course.last)
+    remedy = ("--to", f"{first:.7g}") if is_before else ("--from", f"{last:.7g}")
+    action = "Use the part of the record in which it is in time"
     return _Said(
         "lost_rows",
-        f"the delay of {names} jumps {course.lasts} between {first:.4g} and {last:.4g} s: "
+        f"the delay of {names} jumps {lasts} between {first:.4g} and {last:.4g} s: "
         f"{'all others have' if course.change > 0 else 'it has'} lost rows there",
         f"{action} ({shlex.join(remedy)}).",
         remedy,
@@ -551,8 +529,8 @@ def _of_size(cause: Cause, model: Model, record: Record, says: str) -> _Said:
     doubt, size = cause.doubt, cause.size
     if any(one.kind == "zero" for one in (doubt, *cause.same)):
         return _of_zero(cause, model, record, says)
-    if isinstance(doubt.element, Ringing):
-        return _of_mode(doubt.equation, doubt.element, size)
+    if doubt.mode is not None:
+        return _of_mode(doubt.equation, doubt.mode, size)
     if doubt.memories:
         return _of_state(doubt, record)
     if doubt.term is not None:

@@ -135,7 +135,8 @@ def compare(record: Record, relation: Relation) -> Compared | None:
         late |= {
             name: cause.undone
             for cause in causes
-            if cause.undone is not None and cause.doubt.kind == "delay"
+            if cause.undone is not None and cause.undone.course is None
+            if cause.doubt.kind == "delay"
             for name in cause.doubt.signals
         }
         is_undone = all(one.remedy for one in told)
@@ -162,10 +163,8 @@ def compare(record: Record, relation: Relation) -> Compared | None:
 
 def _sizes(folds: Folds, relation: Relation) -> dict[str, Told] | None:
     """Of the terms of a relation, 1 where they are right; `None` where no error can be given."""
-    names, sizes = folds.parameters[: len(relation.of)], {}
-    for name, factor in relation.of:
-        one = folds.told(names, f"0.{name}")
-        sizes[name] = Told(one.value / factor, abs(one.error / factor), one.freedom)
+    names = folds.parameters[: len(relation.of)]
+    sizes = {name: folds.told(names, f"0.{name}").times(1 / by) for name, by in relation.of}
     return sizes if np.isfinite([one.error for one in sizes.values()]).all() else None
 
 
@@ -281,7 +280,7 @@ def _of_few(weighing: Weighing) -> list[Cause]:
     # leaves least of the rest.
     told, left = folds.told([*base, best.name], best.name), max(left, 0.0)
     step = float(weighing.records[0].time_step)
-    undone = settled_at(best, told.value, told, folds, base, (left, left + causes.noise), step)
+    undone = settled_at(told.value, told, folds, base, left, step)
     if not abs(undone.samples) > SMALLEST:
         return []
     return [Cause(best, told.value, causes.rms(before), causes.rms(left), {}, undone)]
@@ -294,7 +293,8 @@ def _told(cause: Cause, relation: Relation, weighing: Weighing) -> Finding:
     against = Equated(f"{says} says", "the signals differ by", "the motion", "velocity_offset")
     cause = cause._replace(moved={})
     finding = finding_of(cause, weighing.asked.model, weighing.records, against)
-    others = () if cause.undone is not None else [n for n in relation.names if n != name]
+    is_late = cause.undone is not None and cause.undone.course is None
+    others = () if is_late else [n for n in relation.names if n != name]
     message = finding.message
     if finding.code in ("velocity_offset", "drifting_signal"):
         message = f"{message} Or {relation.signal} drifts."
@@ -379,8 +379,8 @@ def _of_sizes(record: Record, relation: Relation, sizes: Mapping[str, Told]) -> 
     suspect = min(suspects, key=lambda name: suspects[name][2])
     size, error, least = suspects[suspect]
     alike = [n for n, one in suspects.items() if n != suspect and one[2] < least + CLEAR**2]
-    told = Told(size - 1, error, next(iter(sizes.values())).freedom)
-    if not (abs(told.value) > GAIN and told.chance < LEVEL):
+    off = next(iter(sizes.values()))._replace(value=size - 1, error=error)
+    if not (abs(off.value) > GAIN and off.chance < LEVEL):
         return
     several, gross, gain = len(sizes) > 1, abs(size - 1) > GROSS, 1 / size
     if gross and not several:

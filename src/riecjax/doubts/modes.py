@@ -13,13 +13,12 @@ grid, then closer and closer around the best.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Complex
 
-from riecjax.doubts.columns import Asked, Doubt, folds_of
+from riecjax.doubts.columns import Asked, Doubt, Ringing, folds_of
 from riecjax.equations.hidden_elements import HiddenMode, accelerated
 from riecjax.records.record import Record
 
@@ -37,37 +36,14 @@ MOST_DAMPED = 0.9
 """Damping ratio of what still rings."""
 
 
-@dataclass(frozen=True)
-class Ringing:
-    """How a mode moves against its body, from rest on.
-
-    **Fields:** `on` which body; the signal whose derivative of an `order` is the body's
-    acceleration, and the `sign` of its inertia in the equation; frequency in `hertz`, and the ratio
-    of `damping`.
-    """
-
-    on: str
-    signal: str
-    order: int
-    sign: float
-    hertz: float
-    damping: float
-
-    def response(self, s: Complex[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
-        """Of the mode's filter, less the signal itself."""
-        w, square = 2 * np.pi * self.hertz, s**2
-        return -self.sign * square / (square + 2 * self.damping * w * s + w**2)
-
-
 class Mode(NamedTuple):
-    """A mode that may be left out: frequency in `hertz` and `damping` ratio; share of the target's
-    energy that it gains; its `doubt`, which is `asked` of one stage."""
+    """A mode that may be left out: its `shape` and its `doubt`, which is `asked` of one stage; the
+    share of the target's energy that it has `gained`."""
 
-    hertz: float
-    damping: float
-    gained: float
+    shape: Ringing
     doubt: Doubt
     asked: Asked
+    gained: float
 
 
 def best_mode(asked: Asked, records: Sequence[Record]) -> Mode | None:
@@ -93,61 +69,48 @@ def best_mode(asked: Asked, records: Sequence[Record]) -> Mode | None:
                 if order <= asked.criterion.smoothness
                 and all(signal in record.arrays for record in records)
             ]
-            if not recorded:
-                continue
-            first = asked._replace(stages=[stage])
-            sign = float(np.sign(float(np.asarray(term.factor))))
-            mode = _Body(first, records, name, on, *recorded[0], sign).best()
-            found += [] if mode is None else [mode]
+            if recorded:
+                sign = float(np.sign(float(np.asarray(term.factor))))
+                on_body = Ringing(on, *recorded[0], sign, np.nan, np.nan)
+                mode = _on_body(asked._replace(stages=[stage]), records, name, on_body)
+                found += [] if mode is None else [mode]
     return max(found, key=lambda mode: mode.gained, default=None)
 
 
-class _Body(NamedTuple):
-    """A body whose inertia is the derivative of an `order` of a signal, with a sign, in an
-    equation."""
+def _on_body(
+    asked: Asked, records: Sequence[Record], equation: str, on_body: Ringing
+) -> Mode | None:
+    """The mode on a body of an equation that gains most, of any frequency and damping."""
 
-    asked: Asked
-    records: Sequence[Record]
-    equation: str
-    on: str
-    signal: str
-    order: int
-    sign: float
-
-    def best(self) -> Mode | None:
-        """The mode on it that gains most."""
-        windows, step = self.asked.criterion.windows, float(self.records[0].time_step)
-        assert windows is not None
-        slowest = 0.5 / float(windows.beta)
-        fastest = max(min(1 / float(windows.alpha), 0.25 / step), 2 * slowest)
-        grid = np.geomspace(slowest, fastest, FREQUENCIES)
-        shapes = np.array([(hertz, damping) for hertz in grid for damping in DAMPING]).T
-        best = self._best_of(*shapes)
-        apart = np.log([grid[1] / grid[0], DAMPING[1] / DAMPING[0]])
-        around = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]).T
-        for closer in 0.5 ** np.arange(1, CLOSER + 1):
-            if best is None:
-                break
-            near = np.exp(around * closer * apart[:, None])
-            hertz, damping = np.array([[best.hertz], [best.damping]]) * near
-            hertz = np.clip(hertz, slowest, fastest)
-            found = self._best_of(hertz, np.minimum(damping, MOST_DAMPED))
-            best = max(best, found or best, key=lambda mode: mode.gained)
-        # At an end of the band it is something slower or faster.
-        inside = best is not None and AT_END * slowest < best.hertz < fastest / AT_END
-        return best if inside else None
-
-    def _best_of(self, hertz: np.ndarray, damping: np.ndarray) -> Mode | None:
-        doubts = []
-        for number, shape in enumerate(zip(hertz.tolist(), damping.tolist())):
-            mode = Ringing(self.on, self.signal, self.order, self.sign, *shape)
-            doubts.append(Doubt(f"mode {number}", "mode", equation=self.equation, element=mode))
+    def best_of(hertz: np.ndarray, damping: np.ndarray) -> Mode | None:
+        shapes = [replace(on_body, hertz=f, damping=z) for f, z in zip(hertz, damping)]
+        doubts = [
+            Doubt(f"mode {number}", "mode", equation=equation, mode=shape)
+            for number, shape in enumerate(shapes)
+        ]
         names = [doubt.name for doubt in doubts]
-        folds = folds_of(self.asked, self.records, doubts, "")
-        beside = folds.beside([n for n in folds.parameters if n not in names], names)
-        gained = np.where(beside.value > 0, beside.gained, -1.0)
+        folds = folds_of(asked, records, doubts, "")
+        told = folds.beside([n for n in folds.parameters if n not in names], names)
+        gained = [one.gained / folds.energy if one.value > 0 else 0.0 for one in told]
         at = int(np.argmax(gained))
-        if not gained[at] > 0:
+        return Mode(shapes[at], doubts[at], asked, gained[at]) if gained[at] > 0 else None
+
+    windows, step = asked.criterion.windows, float(records[0].time_step)
+    assert windows is not None
+    slowest = 0.5 / float(windows.beta)
+    fastest = max(min(1 / float(windows.alpha), 0.25 / step), 2 * slowest)
+    grid = np.geomspace(slowest, fastest, FREQUENCIES)
+    best = best_of(*np.array([(hertz, damping) for hertz in grid for damping in DAMPING]).T)
+    apart = np.log([grid[1] / grid[0], DAMPING[1] / DAMPING[0]])
+    around = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]).T
+    for closer in 0.5 ** np.arange(1, CLOSER + 1):
+        if best is None:
             return None
-        shape = float(hertz[at]), float(damping[at])
-        return Mode(*shape, float(gained[at]) / folds.energy, doubts[at], self.asked)
+        near = np.exp(around * closer * apart[:, None])
+        hertz, damping = np.array([[best.shape.hertz], [best.shape.damping]]) * near
+        hertz = np.clip(hertz, slowest, fastest)
+        found = best_of(hertz, np.minimum(damping, MOST_DAMPED))
+        best = max(best, found or best, key=lambda mode: mode.gained)
+    # At an end of the band it is something slower or faster.
+    inside = best is not None and AT_END * slowest < best.shape.hertz < fastest / AT_END
+    return best if inside else None
