@@ -22,7 +22,7 @@ BUDGETS = {
     "src statements": 23_775,
     "src literals": 1_535,
     "lines of commands and settings": 2_300,
-    "tests lines": 27_135,
+    "tests lines": 27_200,
     "benchmarks lines": 8_720,
     "README lines": 150,
 }
@@ -42,7 +42,7 @@ MANY_IMPORTS = {
     "riecjax.estimation.identify": 22,
     "riecjax.records.recording": 14,
     "riecjax.refinement.output_error": 14,
-    "riecjax.reporting.result_figures": 13,
+    "riecjax.reporting.result_figures": 14,
     "riecjax.reporting.result_files": 13,
     "riecjax.reporting.views": 20,
     "riecjax.summaries.one_pass": 15,

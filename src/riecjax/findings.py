@@ -20,6 +20,13 @@ def joined(names: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
+def in_percent(share: float, form: str = ".2g") -> str:
+    """A share in words, in this form: `2.3 %`; hundreds of them in digits."""
+    percents = 100 * float(share)
+    said = f"{percents:{form}}"
+    return f"{said if abs(percents) < 100 else f'{float(said):.0f}'} %"
+
+
 class FindingClass(NamedTuple):
     """What a code means, in words and for a verdict.
 

@@ -67,13 +67,6 @@ def finite(value: ArrayLike | Sequence[Any] | Mapping[Any, Any] | None) -> Any:
     return number if math.isfinite(number) else None
 
 
-def in_percent(share: ArrayLike, form: str = ".2g") -> str:
-    """A share in words, in this form: `2.3 %`; hundreds of them in digits."""
-    percents = 100 * float(share)
-    said = f"{percents:{form}}"
-    return f"{said if abs(percents) < 100 else f'{float(said):.0f}'} %"
-
-
 def told(thing: object, *names: str) -> dict[str, Any]:
     """Attributes of an object that are numbers, texts or arrays of them, by name."""
     return {name: finite(getattr(thing, name)) for name in names}

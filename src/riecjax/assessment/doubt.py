@@ -44,8 +44,8 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding, class_of
-from riecjax.leaves import in_percent, size_of
+from riecjax.findings import Finding, class_of, in_percent
+from riecjax.leaves import size_of
 from riecjax.records.preparation.steps import undone
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording

@@ -20,8 +20,8 @@ from riecjax.estimation.estimate import (
     parameter_entries,
 )
 from riecjax.estimation.parameters import values_in_recording
-from riecjax.findings import Finding
-from riecjax.leaves import in_percent, told
+from riecjax.findings import Finding, in_percent
+from riecjax.leaves import told
 from riecjax.records.noise_judgement import ABOVE_NOISE
 
 # What simulates and refines takes as long to import as a linear answer does: where it is asked for.

@@ -39,7 +39,7 @@ from riecjax.equations import expressions
 from riecjax.equations.model import Model
 from riecjax.equations.motions import per
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding, option_for
+from riecjax.findings import Finding, in_percent, option_for
 from riecjax.records.record import Record
 from riecjax.records.time_base import PPM
 from riecjax.summaries.summarise import signals_read
@@ -369,11 +369,11 @@ def finding_of(
     else:
         said = _of_size(cause, model, records[0], against.says)
     most = max(cause.moved, key=lambda name: abs(cause.moved[name]), default="")
-    moves = f", and {most} changes by {100 * cause.moved[most]:+.2g} %" if most else ""
+    moves = f", and {most} changes by {in_percent(cause.moved[most], '+.2g')}" if most else ""
     way = "taken off" if cause.doubt.signals else "let in"
     message = (
-        f"{said.what}. With that {way}, {against.leaves} {100 * cause.left:.2g} % of {against.of} "
-        f"beyond noise instead of {100 * cause.before:.2g} %{moves}."
+        f"{said.what}. With that {way}, {against.leaves} {in_percent(cause.left)} of {against.of} "
+        f"beyond noise instead of {in_percent(cause.before)}{moves}."
     )
     remedy, step = said.remedy, said.step
     # The best term, and the best sensor.

@@ -42,7 +42,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
 from riecjax.equations.term import Term
 from riecjax.errors import DataError
-from riecjax.findings import Finding
+from riecjax.findings import Finding, in_percent
 from riecjax.folds import Folds, Told
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.faults.spikes import repair_outliers
@@ -351,7 +351,7 @@ def _unrelated(relation: Relation, explained: float) -> Finding:
     return Finding(
         "not_its_derivative",
         f"{derivative}, which is read as the derivative of {signal}, does not move with {signal} "
-        f"({100 * max(explained, 0):.2g} % of that derivative's energy is explained). {CHECK}",
+        f"({in_percent(max(explained, 0))} of that derivative's energy is explained). {CHECK}",
         relation.names,
         doubt=1.0,
     )

@@ -39,8 +39,8 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant
 from riecjax.equations.model import Model
 from riecjax.estimation.parameters import ParameterTable
-from riecjax.findings import Finding
-from riecjax.leaves import TINY, in_percent
+from riecjax.findings import Finding, in_percent
+from riecjax.leaves import TINY
 from riecjax.linear_algebra import unit_diagonal
 from riecjax.summaries.normal_equations import EquationSums
 from riecjax.summaries.summary import Summary

@@ -25,8 +25,8 @@ from riecjax.estimation.parameters import (
     weighing,
 )
 from riecjax.estimation.stages import EquationFit, StageSolution
-from riecjax.findings import Finding
-from riecjax.leaves import Leaf, PlainMethods, in_percent
+from riecjax.findings import Finding, in_percent
+from riecjax.leaves import Leaf, PlainMethods
 from riecjax.linear_algebra import gram_condition_limit
 from riecjax.shows import Tabled, save
 from riecjax.summaries.summary import Summary

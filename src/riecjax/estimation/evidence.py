@@ -29,8 +29,8 @@ from riecjax.estimation.hidden_modes import (
     polished,
     search_band,
 )
-from riecjax.findings import Finding
-from riecjax.leaves import Leaf, finite, in_percent, told
+from riecjax.findings import Finding, in_percent
+from riecjax.leaves import Leaf, finite, told
 from riecjax.shows import Drawn
 from riecjax.summaries.normal_equations import NormalEquations
 

@@ -16,8 +16,8 @@ from riecjax.estimation.parameters import (
     weighing,
 )
 from riecjax.estimation.stages import largest_share, stages_over_records
-from riecjax.findings import CODES, Finding
-from riecjax.leaves import Leaf, in_percent
+from riecjax.findings import CODES, Finding, in_percent
+from riecjax.leaves import Leaf
 from riecjax.linear_algebra import symmetric_eigen, unit_diagonal
 from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summary import Summary

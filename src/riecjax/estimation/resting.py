@@ -9,8 +9,8 @@ from riecjax.equations.dry_friction import in_motion, rests_of
 from riecjax.equations.model import Model, with_rests
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding
-from riecjax.leaves import in_percent, size_of
+from riecjax.findings import Finding, in_percent
+from riecjax.leaves import size_of
 from riecjax.records.record import Record
 
 MOVED = 2.0

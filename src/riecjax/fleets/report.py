@@ -13,10 +13,11 @@ from rich.console import Console
 from riecjax import Model
 from riecjax.criteria import AbstractCriterion
 from riecjax.extensions import require_packages
+from riecjax.findings import in_percent
 from riecjax.fleets.groups import Entry
 from riecjax.fleets.order import DONE, Row
 from riecjax.fleets.spread import ALARMS, RATE, Change, Spread, changes, spreads
-from riecjax.leaves import in_percent, told
+from riecjax.leaves import told
 from riecjax.reporting import (
     SCHEMA,
     Document,

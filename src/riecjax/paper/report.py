@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from rich.console import Console
 
-from riecjax.findings import Finding
-from riecjax.leaves import finite, in_percent, told
+from riecjax.findings import Finding, in_percent
+from riecjax.leaves import finite, told
 from riecjax.models.quarter_car import SPRING_RATE, quarter_car_source, reconstructed
 from riecjax.paper.claims import Claim
 from riecjax.paper.published import CRITERIA, TABLE_2, TABLE_6, VARIANTS, PublishedMode

@@ -12,8 +12,8 @@ from rich.console import Console
 
 from riecjax.discovery import Discovery, Step
 from riecjax.equations.hidden_elements import HiddenMode, accelerated
-from riecjax.findings import joined, option_for
-from riecjax.leaves import finite, in_percent
+from riecjax.findings import in_percent, joined, option_for
+from riecjax.leaves import finite
 from riecjax.reporting import Page, Section, Table, View, in_rich, print_table, say
 from riecjax.reporting.answer import Answer, part_of
 from riecjax.reporting.charts.chart import BLUE, GREY, Axis, Chart, Line, Panel, in_rows

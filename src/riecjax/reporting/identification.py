@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.console import Console
 
-from riecjax.leaves import in_percent
+from riecjax.findings import in_percent
 from riecjax.reporting import answer as parts
 from riecjax.reporting.answer import Answer
 from riecjax.reporting.document import number, percents

@@ -18,7 +18,8 @@ from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.evidence import ModeEvidence, ModeTests
 from riecjax.estimation.hidden_modes import linearised
-from riecjax.leaves import TINY, in_percent
+from riecjax.findings import in_percent
+from riecjax.leaves import TINY
 from riecjax.reporting.charts.chart import (
     BLACK,
     BLUE,

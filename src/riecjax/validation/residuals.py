@@ -34,8 +34,7 @@ from riecjax.equations.hidden_elements import accelerated, force_elements
 from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model, as_model, told_apart
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding
-from riecjax.leaves import in_percent
+from riecjax.findings import Finding, in_percent
 from riecjax.records.record import Records, as_records
 from riecjax.shows import Drawn
 from riecjax.validation.equation_errors import (

@@ -21,8 +21,8 @@ from riecjax.equations.model import Model, as_model
 from riecjax.errors import DataError, require
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.stages import solve_stages, stages_over_records
-from riecjax.findings import Finding
-from riecjax.leaves import Leaf, finite, in_percent, size_of, told
+from riecjax.findings import Finding, in_percent
+from riecjax.leaves import Leaf, finite, size_of, told
 from riecjax.records.record import Record, Records
 from riecjax.shows import Drawn
 from riecjax.summaries.normal_equations import (

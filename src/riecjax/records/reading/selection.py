@@ -27,7 +27,6 @@ from riecjax.records.reading.units import (
     unit_behind,
 )
 from riecjax.records.record import Record
-from riecjax.records.signal import Signal
 from riecjax.records.time_base import StampError
 from riecjax.settings import Read, Select
 
@@ -196,8 +195,12 @@ def record_from_channels(
         # nothing else says it.
         formulas = {k: f for k, f in formulas.items() if k not in record.noise.kernels}
         columns = values | measured_values
-        replaced = {k: Signal.of(columns[k]) for k in formulas if k in measured_values}
-        sampled = record.with_signals({k: s for k, s in replaced.items() if k in record.arrays})
+        replaced = {
+            k: replace(record.signal(k), values=raw, present=~np.isnan(raw))
+            for k, raw in measured_values.items()
+            if k in formulas and k in record.arrays
+        }
+        sampled = record.with_signals(replaced)
         names = [name for name in record.arrays if name not in formulas or name in replaced]
         noise = judged(sampled.select(*names)).noise if names else record.noise
         columns |= clock
