@@ -20,7 +20,8 @@ Parameters are free in each stage, those that an earlier stage has found too, as
 tells them apart: so no error of an earlier stage is taken for a fault of a sensor.
 
 Plausible sizes, beyond which a doubt of a sensor is no cause, are shares of what a signal does: a
-zero or drift of `REACH` times its range, a delay of `LONGEST` samples and of a part of the record.
+zero or drift of `REACH` times its range, a delay of `LONGEST` samples or of `LONGEST_TIME`, and of
+a part of the record.
 """
 
 import itertools
@@ -267,7 +268,7 @@ class _Columns:
         def read_of(side: Record) -> Iterator[Values]:
             equations = [self.plain, *([self.lacked] if self.lacked and every else [])]
             yield from by_column(*(sampled_columns(e, side, smoothness) for e in equations))
-            yield from changed(side) if every else ()
+            yield from itertools.chain(changed(side), ringing(side)) if every else ()
 
         columns = [name for each in own for name in each.parameters]
         columns += [doubt.name for doubt in (*sensors, *self.modes)]
@@ -436,8 +437,8 @@ def _of_stage(
     return found._replace(names=names)
 
 
-LONGEST = 32
-"""Samples of the longest delay that is looked for."""
+LONGEST, LONGEST_TIME = 32, 0.02
+"""Samples of the longest delay that is looked for, and seconds where these are more."""
 LONGEST_SHARE = 20
 """It is at most this part of a record."""
 REACH = 3.0
@@ -467,7 +468,8 @@ def clocks_of(model: Model, read: set[str]) -> list[tuple[str, ...]]:
 
 def longest_delay(records: Sequence[Record]) -> int:
     """Samples of the longest delay that is looked for in records."""
-    return min(LONGEST, min(each.sample_count for each in records) // LONGEST_SHARE)
+    longest = max(LONGEST, int(LONGEST_TIME / float(records[0].time_step)))
+    return min(longest, min(each.sample_count for each in records) // LONGEST_SHARE)
 
 
 def delay_of(signals: tuple[str, ...]) -> Doubt:

@@ -275,7 +275,8 @@ class Shifts:
 
         **Arguments:** `large`, whether it may be of any size.
         """
-        near = self._among(range(middle - 1, middle + 2))
+        first, last = max(middle - 1, -self.reach), min(middle + 1, self.reach)
+        near = self._among(range(first, last + 1))
         if near is None or not self._changes(near, SLIGHT):
             # Parts whose delays are far from the middle one are not told by three next to it.
             far, middle = self._among(self.every), 0

@@ -36,7 +36,7 @@ from riecjax.doubts.delays import (
 )
 from riecjax.doubts.modes import best_mode
 from riecjax.equations import expressions
-from riecjax.equations.model import Model
+from riecjax.equations.model import Model, as_model
 from riecjax.equations.motions import per
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, in_percent, option_for
@@ -68,7 +68,8 @@ class Cause(NamedTuple):
     it, `left`, and without, `before`, as shares of the target's; `moved`, shares by which
     parameters change with it; what is found once it is `undone`;
     `offset` of what drifts at the record's middle; `instead`, other doubts that explain nearly as
-    much, of which some are the `same` column, and `certain`, whether all others leave clearly more.
+    much, of which some are the `same` column, and `certain`, whether all others leave clearly more;
+    whether it `is_part` of what is amiss, which is to be undone before the rest is found.
     """
 
     doubt: Doubt
@@ -79,6 +80,7 @@ class Cause(NamedTuple):
     undone: Settled | None = None
     offset: float = 0.0
     certain: bool = True
+    is_part: bool = False
     instead: tuple[Doubt, ...] = ()
     same: tuple[Doubt, ...] = ()
 
@@ -156,7 +158,9 @@ class Weighing:
         chosen = causes.demanded([*delays, *others], sure=known)
         drifting = [doubt for doubt in chosen if doubt.kind == "drift"]
         chosen = [doubt for doubt in chosen if not causes.is_zero_of(doubt, drifting)]
-        if chosen or self.is_exact or not is_notable:
+        if not chosen and self.is_exact:
+            return self._part_of(known)
+        if chosen or not is_notable:
             return [self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen]
         rough = self._hysteresis() or self._mode()
         # A rough shape is no cause where a delay explains more.
@@ -164,6 +168,16 @@ class Weighing:
         if rough and best and causes.rms(causes.left([best])) < rough.left:
             rough = self._cause(best, [best], known[best])
         return [] if rough is None else [rough]
+
+    def _part_of(self, known: Mapping[Doubt, Settled]) -> list[Cause]:
+        """The delay that explains most of what is left, where others are beside it: columns of what
+        is as large are right to first order alone."""
+        causes = self.causes
+        delays = [doubt for doubt in known if doubt.kind == "delay" and known[doubt].course is None]
+        best = min(delays, key=lambda delay: causes.left([delay]), default=None)
+        if best is None or not causes.left([best]) < HALF * causes.before:
+            return []
+        return [self._cause(best, [best], known[best])._replace(is_part=True)]
 
     def _settled(self, doubt: Doubt, start: float = 0.0, lagged: bool = False) -> Settled | None:
         most = self.causes.plausible[doubt.name]
@@ -214,6 +228,10 @@ class Weighing:
         chosen = [*chosen, *zeros]
         names, without = causes.names(chosen), causes.names(beside)
         after = dict(zip(names, folds.fitted(names).tolist()))
+        if undone is None and doubt.kind in ("zero", "gain", "drift"):
+            # Its column is made with the parameters that it moves.
+            again = folds_of(self.asked.with_values(after), self.records, chosen)
+            after = dict(zip(names, again.fitted(names).tolist()))
         # Of delays that change the best is told.
         instead = [] if undone is not None and undone.course else causes.instead(chosen, doubt)
         return Cause(
@@ -300,7 +318,7 @@ def demanded(
 
     **Raises:** as [`summarise`][riecjax.summarise].
     """
-    criterion = estimate.criterion
+    model, criterion = as_model(model), estimate.criterion
     own = any(estimate.table[name].recording is not None for name in estimate.parameters)
     # Nothing is told of hidden elements, parameters of each recording, windows drawn at random, and
     # records too short for blocks to scatter.

@@ -122,15 +122,20 @@ def compare(record: Record, relation: Relation) -> Compared | None:
     found: dict[tuple[str, tuple[str, ...]], Finding] = {}
     late = dict[str, Settled]()
     weighing = _weighed(relation, prepared)
-    folds = weighing.causes.folds
+    first, folds = weighing.causes, weighing.causes.folds
     if not folds.motion[:, 0, 0].sum() > MOST_NOISE * folds.energy:
         return None
-    is_undone = True
+    is_undone, sure = True, None
     while is_undone and len(found) < MOST:
-        causes = _causes(weighing, relation)
-        told = [_told(cause, relation, weighing) for cause in causes or _of_few(weighing)]
+        causes = _causes(weighing, relation) or _of_few(weighing)
+        told = [_told(cause, relation, weighing) for cause in causes]
+        # What is certain is undone first: it may be what the rest is not told from.
+        certain = [*filter(lambda each: each[1].remedy, zip(causes, told))]
+        causes, told = zip(*certain) if certain else (causes, told)
         if not told or any((one.code, one.signals) in found for one in told):
             break
+        if sure is None and any(cause.is_part for cause in causes):
+            sure = found.copy(), late.copy()
         found |= {(one.code, one.signals): one for one in told}
         late |= {
             name: cause.undone
@@ -146,6 +151,9 @@ def compare(record: Record, relation: Relation) -> Compared | None:
                 weighing = _weighed(relation, prepared)
             except DataError:  # too little of it is left
                 is_undone = False
+    # A part of what is amiss is none where the rest is not found.
+    if sure is not None and not first.is_little(weighing.causes.before):
+        (found, late), is_undone = sure, False
     folds, names = weighing.causes.folds, weighing.causes.base
     explained = 1 - float(folds.unexplained(names).sum() / folds.motion[:, 0, 0].sum())
     sizes = _sizes(folds, relation) if is_undone else None
