@@ -28,7 +28,6 @@ from riecjax.arrays import is_concrete
 from riecjax.errors import DuplicateRecordingError
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import (
-    ENOUGH,
     Found,
     SampledSignal,
     Signals,
@@ -42,8 +41,6 @@ from riecjax.records.signal import NORMAL, Samples
 
 ROUNDED = 1e-3
 """Share of a standard deviation by which rounding may part a sample from its copy."""
-DIGITS = 1e-9
-"""The same of the last digits of computed values."""
 SMOOTH = 0.9
 """Correlation of successive differences past which they are physical, and not of rounding."""
 FEWEST = 20
@@ -247,9 +244,10 @@ def copied(other: SampledSignal, signals: Signals) -> Iterator[Found]:
     where the little that parts a slow force from its spring is smooth.
     """
     for name in itertools.takewhile(lambda name: name != other.name, signals.names):
-        one, stride = signals.by_name[name], max(other.values.size // ENOUGH, 1)
-        line = name in signals.recorded and _line(one.values[::stride], other.values[::stride], 1.0)
-        if not line or (line := _line(one.values, other.values, SMOOTH)) is None:
+        if name not in signals.recorded:
+            continue
+        line = _line(signals.by_name[name].values, other.values)
+        if line is None:
             continue
         factor, offset = line
         least = ROUNDED * np.nanstd(other.values)
@@ -265,7 +263,7 @@ def copied(other: SampledSignal, signals: Signals) -> Iterator[Found]:
         )
 
 
-def _line(first: np.ndarray, second: np.ndarray, smooth: float) -> tuple[float, float] | None:
+def _line(first: np.ndarray, second: np.ndarray) -> tuple[float, float] | None:
     """Factor and offset that make the second of the first, `None` where none do."""
     both = ~(np.isnan(first) | np.isnan(second))
     if both.sum() < 3:
@@ -280,7 +278,7 @@ def _line(first: np.ndarray, second: np.ndarray, smooth: float) -> tuple[float, 
     slope = float(x @ y) / energy
     left = (y - slope * x) / np.std(y)
     worst = float(np.max(np.abs(left)))
-    if worst > ROUNDED or (worst > DIGITS and left[1:] @ left[:-1] > smooth * (left @ left)):
+    if worst > ROUNDED or left[1:] @ left[:-1] > SMOOTH * (left @ left):
         return None
     factor = slope * (size[1] / size[0])
     return factor, float(mean_y * size[1] - factor * mean_x * size[0])
