@@ -125,12 +125,6 @@ class SampledSignal(NamedTuple):
         """A value of the signal in words."""
         return f"{value + 0.0:.4g} {self.unit}".rstrip()
 
-    def shown_in(self, runs: np.ndarray) -> np.ndarray:
-        """Which samples these runs, by their number, have."""
-        chosen = np.zeros(self.run_starts.size, bool)
-        chosen[runs] = True
-        return np.repeat(chosen, self.run_lengths)
-
 
 def sampled_signal(record: Record, name: str) -> SampledSignal:
     """A signal of a record.

@@ -188,6 +188,7 @@ def stuck(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     if signal.is_command:
         return
     others = signals.beside(signal.name)
+    number = np.repeat(np.arange(signal.run_lengths.size), signal.run_lengths)
     for still, long in ((dropouts(signal), False), (long_runs(signal, others), True)):
         if not still.size:
             continue
@@ -205,7 +206,7 @@ def stuck(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
             f"the samples).",
             # What drops out is far off: each sample counts for several.
             doubt=samples / signal.sample_count if long else 1.0,
-            samples=signal.shown_in(still),
+            samples=np.isin(number, still),
             step=f"Leave out what {{}} showed while it {'was stuck' if long else 'dropped out'}",
         )
 

@@ -173,8 +173,7 @@ def _taken_out(scaled: Samples, local: "Local") -> tuple[Bool[np.ndarray, " n"],
         fit, spread, _ = local.fits(np.where(removed, np.nan, scaled), ends, stretch)
         least = np.ones(scaled.size)
         least[ends], off[ends] = spread / local.gain, np.abs(scaled[ends] - fit) / local.gain
-        share = np.nan_to_num(off / (SPIKE * noise))
-        share = np.where(removed | missing, 0.0, share)
+        share = np.where(removed | missing, 0.0, np.nan_to_num(off / (SPIKE * noise)))
         # A spike spoils the polynomials of its neighbours: the largest first.
         beside = np.lib.stride_tricks.sliding_window_view(np.pad(share, BESIDE), OFFSETS.size)
         new = (share > least) & (share >= beside.max(axis=1))
@@ -377,7 +376,7 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
     """Replace spikes of one to three samples by what the samples around them say.
 
     A spike is found against the noise around it: it lies 6 standard deviations off a polynomial of
-    degree 3, 5 or 7 through the 8 samples to each side, spikes among them left out. Steps, corners
+    degree 3 or 7 through the 8 samples to each side, spikes among them left out. Steps, corners
     and pulses of commands stay, and blows to which another signal answers. Of a signal of which
     more than 5 % are spikes nothing is changed: that is a fault of its channel.
 
