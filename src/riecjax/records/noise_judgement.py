@@ -354,12 +354,8 @@ def _by_values(
         scatter = SCATTER / np.sqrt(2 * (freedom if flat.flat else flat.freedom))
         room = 1 + scatter if flat.flat else 1 - scatter
         found = flat if flat.level < level * room else found
-    # A converter's rounding, where it is white and larger. The quantum is at most 1.5 times the
-    # smallest step: mostly there is no need to sort.
-    moves = np.abs(np.diff(values))
-    least = np.min(moves, where=moves > rounding, initial=np.inf)
-    if 1.5 * least / np.sqrt(12) > found.level:
-        quantum = resolution_of(levels_of(known, rounding)[0])
-        if quantum / np.sqrt(12) > found.level:
-            return Floor(np.full(1, quantum / np.sqrt(12)), np.asarray(np.inf))
+    # A converter's rounding, where it is larger.
+    quantised = resolution_of(levels_of(known, rounding)[0]) / np.sqrt(12)
+    if quantised > found.level:
+        return Floor(np.full(1, quantised), np.asarray(np.inf))
     return found if found.level > 0 else None

@@ -167,7 +167,9 @@ def hum(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
         lines = {name: of[grid] for name, of in by_grid.items() if grid in of}
         largest = {name: max(of, key=lambda line: line.amplitude) for name, of in lines.items()}
         verdicts = {n: _is_motion(n, line, spectra, signals.pairs) for n, line in largest.items()}
-        if verdicts[signal.name] is not False and True in verdicts.values():
+        own = verdicts.pop(signal.name)
+        others = {*verdicts.values()}
+        if own or (own is None and others and (True in others or False not in others)):
             continue
         amplitude, rms = largest[signal.name].amplitude, spectra[signal.name].rms
         share = sum((line.amplitude / rms) ** 2 for line in lines[signal.name]) / 2
@@ -215,18 +217,23 @@ def _foreign(spectrum: Spectrum) -> dict[float, list[Line]]:
 def _is_motion(
     name: str, line: Line, spectra: Mapping[str, Spectrum], pairs: Sequence[tuple[str, str]]
 ) -> bool | None:
-    """Whether a line is motion, by a signal's derivative; `None` without one."""
+    """Whether a line is motion, by a signal's derivative; `None` if that is hidden."""
     omega, verdict = 2 * np.pi * line.seen, None
     for signal, derivative in pairs:
         partner = derivative if name == signal else signal
-        if name in (signal, derivative) and partner in spectra:
-            # The largest amplitude within a bin, of a line or not.
-            spectrum = spectra[partner]
-            at = round(line.seen / spectrum.resolution)
-            power = np.max(spectrum.power[max(at - 1, 0) : at + 2])
-            expected = line.amplitude * (omega if name == signal else 1 / omega)
-            there = spectrum.rms * np.sqrt(power)
-            verdict = verdict or bool(expected / MOTION < there < MOTION * expected)
+        if name not in (signal, derivative) or partner not in spectra:
+            continue
+        # The largest amplitude within a bin, of a line or not.
+        spectrum = spectra[partner]
+        at = round(line.seen / spectrum.resolution)
+        near = slice(max(at - 1, 0), at + 2)
+        there = spectrum.rms * float(np.sqrt(np.max(spectrum.power[near])))
+        expected = line.amplitude * (omega if name == signal else 1 / omega)
+        # A larger line there, or noise, says nothing against this one.
+        if there < expected / MOTION:
+            verdict = False
+        elif there < MOTION * expected and np.min(spectrum.chance[near]) < BY_CHANCE:
+            return True
     return verdict
 
 

@@ -53,7 +53,7 @@ NEIGHBOUR = 4.0
 """The same of the nearest sample on each side, which at a step is off one that spans it."""
 RIDGE = 1e-9
 """What keeps a fit through fewer samples than coefficients from a division by zero."""
-DEGREES, BESIDE = (3, 7), 8
+DEGREES, BESIDE = (3, 5, 7), 8
 """Of the polynomials, and samples to each side that they go through. Of each signal, those that lie
 nearest to samples left out: a cubic has 0.37 of the noise in its middle, and bends least."""
 OFFSETS = np.arange(-BESIDE, BESIDE + 1)
@@ -376,7 +376,7 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
     """Replace spikes of one to three samples by what the samples around them say.
 
     A spike is found against the noise around it: it lies 6 standard deviations off a polynomial of
-    degree 3 or 7 through the 8 samples to each side, spikes among them left out. Steps, corners
+    degree 3, 5 or 7 through the 8 samples to each side, spikes among them left out. Steps, corners
     and pulses of commands stay, and blows to which another signal answers. Of a signal of which
     more than 5 % are spikes nothing is changed: that is a fault of its channel.
 
