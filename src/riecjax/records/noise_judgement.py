@@ -66,8 +66,6 @@ OCTAVE = 2.0
 """Times its lowest frequency that the highest of a shelf is, at the least."""
 LEVELLED = 2.0
 """Times the least mean of neighbours that the largest one of a shelf is, at the most."""
-BELOW_MOTION = 0.01
-"""Share of the motion's largest density that a shelf of noise has, at the most."""
 ESTIMATED = 1e-4
 """Share of the energy of an estimated kernel that may be cut off with its ends."""
 CERTAIN, UNSEEN = 3.0, 2.0
@@ -164,8 +162,7 @@ def beside_motion(of: Spectra) -> Floor | None:
         # Overlapping segments and a wide window make neighbours alike.
         variance = ALIKE * left.sum() / rises.size
         errors = np.sqrt(variance * np.diagonal(np.linalg.inv(columns.T @ columns)))
-        sure = noise > -UNSEEN * errors[1] and motion > CERTAIN * errors[0]
-        if sure and _level(flattened - noise * rises):
+        if noise > -UNSEEN * errors[1] and motion > CERTAIN * errors[0]:
             seen = noise > UNSEEN * errors[1]
             freedom = 2 * (noise / errors[1]) ** 2 if seen else np.inf
             found.append(Floor(np.full(1, np.sqrt(noise) if seen else 0.0), np.asarray(freedom)))
@@ -179,8 +176,8 @@ def floor(of: Spectra) -> Floor:
     edge = top = int((1 - TOP) * size)
     for _ in range(3):
         beyond = np.flatnonzero(near > LEAVES * np.mean(density[edge:]))
-        edge = int(CLEARANCE * (beyond[-1] + CLOSE)) if beyond.size else 0
-        edge = min(max(edge, LOWEST), top)
+        edge = int(CLEARANCE * (beyond[-1] + CLOSE)) if beyond.size else LOWEST
+        edge = min(edge, top)
     share = (size - edge) / size
     if share > NARROWEST and _level(density[edge:]):
         return Floor(
@@ -204,22 +201,18 @@ def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
     """
     near, size = _near(of.density), of.density.size
     at_end = np.mean(of.density[int((1 - TOP) * size) : -1])
-    # A shelf is as wide as a floor, and the end of the band far below all of it.
-    if np.mean(near > at_end / EMPTY / LEVELLED) < NARROWEST:
-        return None
     # The widest stretch in which means of neighbours are about the same: from each lower end on, in
     # a row of its own; behind the band there is nothing to be alike.
     behind = np.pad(near, (0, near.size), constant_values=np.nan)
-    rows = np.lib.stride_tricks.sliding_window_view(behind, near.size)[LOWEST : near.size // 2]
+    rows = np.lib.stride_tricks.sliding_window_view(behind, near.size)[: near.size // 2]
     alike = np.maximum.accumulate(rows, 1) < LEVELLED * np.minimum.accumulate(rows, 1)
     lengths = np.argmin(np.pad(alike, [(0, 0), (0, 1)]), axis=1)
-    lower = LOWEST + int(np.argmax(lengths))
+    lower = int(np.argmax(lengths))
     band = slice(lower + CLOSE - 1, lower + int(np.max(lengths)))
     if band.stop < max(OCTAVE * band.start, band.start + NARROWEST * size):
         return None
     density = float(np.mean(of.density[band]))
-    low = at_end < EMPTY * density and density < BELOW_MOTION * np.max(near[:lower])
-    if not (low and _level(of.density[band])):
+    if at_end > EMPTY * density:
         return None
     coherence = []
     for other in (spectra for spectra in others if spectra is not None):
@@ -253,8 +246,6 @@ HELD = 0.5
 """Share of samples that are held, or on straight lines, past which a signal is a command."""
 SCATTER = 3.0
 """Standard deviations by which two levels may differ by chance."""
-MOVES = 0.5
-"""Quanta from sample to sample (rms) past which a converter's rounding is white."""
 
 
 def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
@@ -355,7 +346,7 @@ def _by_values(
     if own is not None:
         elsewhere = (np.where(there, np.asarray(other)[rows], np.nan) for other in others)
         filtered = shelf(own, map(spectra, elsewhere))
-        if filtered is not None and level < filtered.level < MOST_NOISE / 2 * np.std(known):
+        if filtered is not None and level < filtered.level < MOST_NOISE * np.std(known):
             return filtered
         flat = beside_motion(own) or floor(own)
         # Spikes and steps raise a spectrum, and not the differences that are usual.
@@ -363,13 +354,8 @@ def _by_values(
         scatter = SCATTER / np.sqrt(2 * (freedom if flat.flat else flat.freedom))
         room = 1 + scatter if flat.flat else 1 - scatter
         found = flat if flat.level < level * room else found
-    # A converter's rounding, where it is white and larger. The quantum is at most 1.5 times the
-    # smallest step: mostly there is no need to sort.
-    moves = np.abs(np.diff(values))
-    least = np.min(moves, where=moves > rounding, initial=np.inf)
-    if 1.5 * least / np.sqrt(12) > found.level:
-        quantum = resolution_of(levels_of(known, rounding)[0])
-        white = np.sqrt(np.nanmean(moves**2)) > MOVES * quantum
-        if white and quantum / np.sqrt(12) > found.level:
-            return Floor(np.full(1, quantum / np.sqrt(12)), np.asarray(np.inf))
+    # A converter's rounding, where it is larger.
+    quantised = resolution_of(levels_of(known, rounding)[0]) / np.sqrt(12)
+    if quantised > found.level:
+        return Floor(np.full(1, quantised), np.asarray(np.inf))
     return found if found.level > 0 else None

@@ -1,5 +1,6 @@
 """Lines of the mains: found in a signal's spectrum, told from motion, and taken off."""
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple
 
@@ -63,8 +64,8 @@ class Spectrum(NamedTuple):
     """Power of a signal through Hann's window, the mean over its stretches.
 
     **Fields:** `power`, the squared amplitude of a line at each bin, over the squared `rms`;
-    `chance`, the probability that noise stands out of what surrounds a bin as far as it does, 1 for
-    more than 0.01; `resolution`, Hz between bins.
+    `chance`, the probability that noise stands out of what surrounds a bin as far as it does;
+    `resolution`, Hz between bins.
     """
 
     power: np.ndarray
@@ -87,17 +88,16 @@ class Spectrum(NamedTuple):
         peak = low + int(np.argmax(self.power[low : high + 1]))
         if self.power[peak] < max(self.power[[peak - 1, peak + 1]]):
             return None
-        at = self.interpolated(peak)
-        near_enough = abs(at - seen) <= tolerance + 0.2 * self.resolution
-        if self.chance[peak] * (high - low + 1) > chance or not near_enough:
+        if self.chance[peak] * (high - low + 1) > chance:
             return None
         # No other line is around, but harmonics that sampling folds beside this one.
         own = LOBE + int(HARMONICS * tolerance / self.resolution)
-        half = max(int(ALONE / self.resolution), AROUND) + own
+        half = int(ALONE / self.resolution) + own
         near = np.arange(max(peak - half, LOBE), min(peak + half, self.power.size - LOBE))
         others = near[np.abs(near - peak) > own]
         if self.power[peak] <= OUTSHONE * np.max(self.power[others], initial=0.0):
             return None
+        at = self.interpolated(peak)
         off = at / self.resolution - peak
         loss = np.sinc(off) / (1 - off**2)
         return Line(frequency, at, self.rms * float(np.sqrt(self.power[peak]) / loss))
@@ -135,23 +135,15 @@ def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
     )
     # Of so many bins through Hann's window, the median tells as much as the mean of a quarter.
     freedom = 2 * stretches, 2 * stretches * (2 * AROUND + 1) / 4
-    # Nothing is concluded from more than a hundredth, as most bins have.
-    chance = np.ones(ratio.size)
-    high = ratio > scipy.special.fdtri(*freedom, 0.99)
-    chance[high] = scipy.special.fdtrc(*freedom, ratio[high])
+    chance = scipy.special.fdtrc(*freedom, ratio)
     return Spectrum(power, chance, 1 / (length * time_step), rms * size)
 
 
 def lines_of(spectrum: Spectrum, grid: float) -> list[Line]:
-    """The lines of a grid that stand out, each once, however sampling folds them."""
-    found: list[Line] = []
-    for harmonic in range(1, HARMONICS + 1):
-        line = spectrum.line(harmonic * grid, BY_CHANCE / HARMONICS)
-        if line is not None and all(
-            abs(line.seen - one.seen) > LOBE * spectrum.resolution for one in found
-        ):
-            found.append(line)
-    return found
+    """The lines of a grid that stand out."""
+    harmonics = grid * np.arange(1, HARMONICS + 1)
+    lines = (spectrum.line(frequency, BY_CHANCE / HARMONICS) for frequency in harmonics)
+    return [line for line in lines if line is not None]
 
 
 @fault(
@@ -166,9 +158,11 @@ def hum(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     position. The mains keep to no such ratio; where no pair tells, they are taken for a fault of a
     channel that is alone with them.
     """
-    if _spectra not in signals.kept:
-        signals.kept[_spectra] = _spectra(signals)
-    spectra, by_grid = signals.kept[_spectra]
+    if (spectrum := _sensor_spectrum(signal)) is None or not _foreign(spectrum):
+        return
+    found = {name: _sensor_spectrum(other) for name, other in signals.recorded.items()}
+    spectra = {name: spectrum for name, spectrum in found.items() if spectrum is not None}
+    by_grid = {name: _foreign(spectrum) for name, spectrum in spectra.items()}
     for grid in (grid for grid in MAINS if grid in by_grid.get(signal.name, {})):
         lines = {name: of[grid] for name, of in by_grid.items() if grid in of}
         largest = {name: max(of, key=lambda line: line.amplitude) for name, of in lines.items()}
@@ -194,39 +188,28 @@ def hum(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
         )
 
 
-def _spectra(signals: Signals) -> tuple[dict[str, Spectrum], dict[str, dict[float, list[Line]]]]:
-    """Spectra of what sensors recorded, and the lines of grids in them."""
-    # Steps of commands have lines of their own.
-    spectra = {
-        name: spectrum
-        for name, signal in signals.recorded.items()
-        if not signal.is_command
-        and (spectrum := spectrum_of(signal.values, signal.time_step)) is not None
-    }
-    return spectra, {name: _foreign(spectrum) for name, spectrum in spectra.items()}
+def _sensor_spectrum(signal: SampledSignal) -> Spectrum | None:
+    """The spectrum of what a sensor recorded: steps of a command have lines of their own."""
+    return None if signal.is_command else spectrum_of(signal.values, signal.time_step)
 
 
 def _foreign(spectrum: Spectrum) -> dict[float, list[Line]]:
     """By grid its lines that matter, but overtones of the strongest; each of one grid.
 
-    Sampling may fold harmonics of one grid onto another's: lower harmonics come first.
+    Sampling may fold harmonics onto each other: lower ones come first.
     """
-    lobe = LOBE * spectrum.resolution
     strongest = LOBE + 2 + int(np.argmax(spectrum.power[LOBE + 2 : -LOBE - 2]))
-    own = spectrum.interpolated(strongest)
-    stands_out = spectrum.chance[strongest] <= BY_CHANCE
-
-    def matters(line: Line) -> bool:
-        order = line.seen / own
-        off = abs(order - round(order)) * own
-        overtone = 1.5 < order < OVERTONES and off < 0.1 * order * spectrum.resolution
-        return line.amplitude > SMALLEST * spectrum.rms and not (stands_out and overtone)
-
-    every = [(grid, line) for grid in MAINS for line in lines_of(spectrum, grid) if matters(line)]
+    drive = spectrum.interpolated(strongest)
+    orders = OVERTONES * (spectrum.chance[strongest] <= BY_CHANCE)
+    overtones = drive * np.arange(2, orders + 1)
+    lines = [(grid, line) for grid in MAINS for line in lines_of(spectrum, grid)]
     claimed: dict[float, list[Line]] = {}
-    for grid, line in sorted(every, key=lambda one: round(one[1].nominal / one[0])):
-        others = [one for other, of in claimed.items() if other != grid for one in of]
-        if all(abs(line.seen - one.seen) > lobe for one in others):
+    for grid, line in sorted(lines, key=lambda pair: round(pair[1].nominal / pair[0])):
+        lower = itertools.chain.from_iterable(claimed.values())
+        alone = all(abs(line.seen - other.seen) > LOBE * spectrum.resolution for other in lower)
+        near = 0.1 * spectrum.resolution * line.seen / drive
+        is_overtone = np.any(np.abs(line.seen - overtones) < near)
+        if alone and not is_overtone and line.amplitude > SMALLEST * spectrum.rms:
             claimed.setdefault(grid, []).append(line)
     return {grid: of for grid, of in claimed.items() if of[0].nominal < (LOWEST + 0.5) * grid}
 
@@ -235,7 +218,7 @@ def _is_motion(
     name: str, line: Line, spectra: Mapping[str, Spectrum], pairs: Sequence[tuple[str, str]]
 ) -> bool | None:
     """Whether a line is motion, by a signal's derivative; `None` if that is hidden."""
-    verdict = None
+    omega, verdict = 2 * np.pi * line.seen, None
     for signal, derivative in pairs:
         partner = derivative if name == signal else signal
         if name not in (signal, derivative) or partner not in spectra:
@@ -245,13 +228,12 @@ def _is_motion(
         at = round(line.seen / spectrum.resolution)
         near = slice(max(at - 1, 0), at + 2)
         there = spectrum.rms * float(np.sqrt(np.max(spectrum.power[near])))
-        # What sampling may have folded may also be motion where it is seen.
-        for omega in {2 * np.pi * line.nominal, 2 * np.pi * line.seen}:
-            expected = line.amplitude * (omega if name == signal else 1 / omega)
-            if expected / MOTION < there < MOTION * expected:
-                return True if np.min(spectrum.chance[near]) < BY_CHANCE else verdict
-            # A larger line there, or noise, says nothing against this one.
-            verdict = False if there < expected / MOTION else verdict
+        expected = line.amplitude * (omega if name == signal else 1 / omega)
+        # A larger line there, or noise, says nothing against this one.
+        if there < expected / MOTION:
+            verdict = False
+        elif there < MOTION * expected and np.min(spectrum.chance[near]) < BY_CHANCE:
+            return True
     return verdict
 
 

@@ -17,7 +17,6 @@ is held against what such jumps are all along the record.
 """
 
 import itertools
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
@@ -28,7 +27,6 @@ from riecjax.arrays import is_concrete
 from riecjax.errors import DuplicateRecordingError
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import (
-    ENOUGH,
     Found,
     SampledSignal,
     Signals,
@@ -42,8 +40,6 @@ from riecjax.records.signal import NORMAL, Samples
 
 ROUNDED = 1e-3
 """Share of a standard deviation by which rounding may part a sample from its copy."""
-DIGITS = 1e-9
-"""The same of the last digits of computed values."""
 SMOOTH = 0.9
 """Correlation of successive differences past which they are physical, and not of rounding."""
 FEWEST = 20
@@ -58,10 +54,10 @@ SURE = 9.0
 """Standard deviations of all jumps, estimated from their median, past which one is none of them."""
 AGREE = 0.3
 """Share by which a jump may differ between the two lengths."""
-NONE = np.zeros(0)
-"""The samples of a recording that lacks a signal."""
 HARMLESS = 0.003
 """Share of the signal's deviation up to which a jump does no harm."""
+NONE = np.zeros(0)
+"""The samples of a recording that lacks a signal."""
 
 
 class Repetition(NamedTuple):
@@ -94,9 +90,6 @@ def repetitions(columns: Sequence[Samples]) -> list[Repetition]:
     **Arguments:** `columns`, NaN where a sample is missing; such rows are no others'.
     """
     keys = row_keys([column / size_of(column) for column in columns])
-    # Mostly no row comes twice, and to sort them is all that it takes.
-    if np.all(np.diff(np.sort(keys)) != 0):
-        return []
     _, where, counts = np.unique(keys, return_inverse=True, return_counts=True)
     twice = ~np.isnan(keys) & (counts[where] == 2)
     # More of them are how the motion is, simulated without noise, or at rest.
@@ -193,13 +186,13 @@ def _candidates(columns: Sequence[Samples]) -> Iterator[tuple[int, int, int]]:
     """Pairs of columns with blocks in common, and by how many rows later the first has them.
 
     Samples are rounded to 16 times what rounding may have parted them by, so that most blocks of
-    16 rows are still the same. Offsets come by falling number of blocks, at most three of a pair.
+    16 rows are still the same. Of each pair the offset comes that most blocks have.
     """
-    block, coarse, tries = 16, 16 * ROUNDED, 3
+    block = 16
     # Of values that are too small or too large to be held against each other.
     with np.errstate(all="ignore"):
         spreads = [spread for each in columns if each.size and (spread := spread_of(each)) > 0]
-        quantum = coarse * float(np.median(spreads)) if spreads else 1.0
+        quantum = block * ROUNDED * float(np.median(spreads)) if spreads else 1.0
         keys = [np.unique(row_keys([np.round(c / quantum)], block), True) for c in columns]
     key, place = (np.concatenate(parts) for parts in zip(*keys))
     owner = np.repeat(np.arange(len(keys)), [each.size for each, _ in keys])
@@ -208,10 +201,10 @@ def _candidates(columns: Sequence[Samples]) -> Iterator[tuple[int, int, int]]:
     same = np.flatnonzero(np.isfinite(key[1:]) & (key[1:] == key[:-1]))
     offsets = np.stack([owner[same], owner[same + 1], place[same] - place[same + 1]])
     pairs, votes = np.unique(offsets, axis=1, return_counts=True)
-    tried: Counter[tuple[int, int]] = Counter()
+    tried: set[tuple[int, int]] = set()
     for first, second, shift in pairs[:, np.argsort(-votes, kind="stable")].T.tolist():
-        tried[first, second] += 1
-        if tried[first, second] <= tries:
+        if (first, second) not in tried:
+            tried.add((first, second))
             yield first, second, shift
 
 
@@ -224,16 +217,14 @@ def _rows_in_common(
     short = second if sizes[1] <= sizes[0] else first
     near = {name: ROUNDED * spread_of(v) for name, v in short.items() if np.ptp(v) > 0}
 
-    def agree(name: str, stride: int) -> bool:
+    def agree(name: str) -> bool:
         one, other = (
-            columns[name][start : start + rows : stride]
-            for columns, start in zip((first, second), starts)
+            columns[name][start : start + rows] for columns, start in zip((first, second), starts)
         )
-        return bool(np.mean(np.abs(one - other) <= near[name]) >= (ALIKE if stride == 1 else 0.5))
+        return bool(np.mean(np.abs(one - other) <= near[name]) >= ALIKE)
 
-    # Some rows tell most apart.
-    strides = (max(rows // 64, 1), 1) if near and rows >= max(LEAST * min(sizes), FEWEST) else ()
-    return rows if strides and all(agree(n, stride) for stride in strides for n in near) else 0
+    enough = near and rows >= max(LEAST * min(sizes), FEWEST)
+    return rows if enough and all(map(agree, near)) else 0
 
 
 @fault(
@@ -247,9 +238,10 @@ def copied(other: SampledSignal, signals: Signals) -> Iterator[Found]:
     where the little that parts a slow force from its spring is smooth.
     """
     for name in itertools.takewhile(lambda name: name != other.name, signals.names):
-        one, stride = signals.by_name[name], max(other.values.size // ENOUGH, 1)
-        line = name in signals.recorded and _line(one.values[::stride], other.values[::stride], 1.0)
-        if not line or (line := _line(one.values, other.values, SMOOTH)) is None:
+        if name not in signals.recorded:
+            continue
+        line = _line(signals.by_name[name].values, other.values)
+        if line is None:
             continue
         factor, offset = line
         least = ROUNDED * np.nanstd(other.values)
@@ -265,7 +257,7 @@ def copied(other: SampledSignal, signals: Signals) -> Iterator[Found]:
         )
 
 
-def _line(first: np.ndarray, second: np.ndarray, smooth: float) -> tuple[float, float] | None:
+def _line(first: np.ndarray, second: np.ndarray) -> tuple[float, float] | None:
     """Factor and offset that make the second of the first, `None` where none do."""
     both = ~(np.isnan(first) | np.isnan(second))
     if both.sum() < 3:
@@ -280,7 +272,7 @@ def _line(first: np.ndarray, second: np.ndarray, smooth: float) -> tuple[float, 
     slope = float(x @ y) / energy
     left = (y - slope * x) / np.std(y)
     worst = float(np.max(np.abs(left)))
-    if worst > ROUNDED or (worst > DIGITS and left[1:] @ left[:-1] > smooth * (left @ left)):
+    if worst > ROUNDED or left[1:] @ left[:-1] > SMOOTH * (left @ left):
         return None
     factor = slope * (size[1] / size[0])
     return factor, float(mean_y * size[1] - factor * mean_x * size[0])
@@ -302,8 +294,7 @@ def cut_rows(record: Record, signal: str, derivative: str) -> Finding | None:
     short, long = (_jumps(left, side) for side in SIDES)
     if np.isnan(short).all() or np.isnan(long).all():  # nowhere so many samples without a gap
         return None
-    least_short, least_long = (SURE * np.nanmedian(np.abs(j)) / NORMAL for j in (short, long))
-    sure = (np.abs(short) > max(least_short, HARMLESS)) & (np.abs(long) > least_long)
+    sure = np.abs(short) > max(SURE * np.nanmedian(np.abs(short)) / NORMAL, HARMLESS)
     sure &= np.abs(long - short) < AGREE * np.abs(short)
     # A spike of the derivative moves its integral alone.
     sure &= np.abs(_jumps(x / size, SIDES[0]) - short) < np.abs(short) / 2

@@ -8,13 +8,11 @@ over that stretch it moves, and its mean square is 2.5 to 4 times that of the no
 """
 
 import functools
-import hashlib
 import shlex
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple, ParamSpec, TypeVar
+from dataclasses import dataclass
+from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from riecjax.findings import Finding
@@ -127,12 +125,6 @@ class SampledSignal(NamedTuple):
         """A value of the signal in words."""
         return f"{value + 0.0:.4g} {self.unit}".rstrip()
 
-    def shown_in(self, runs: np.ndarray) -> np.ndarray:
-        """Which samples these runs, by their number, have."""
-        chosen = np.zeros(self.run_starts.size, bool)
-        chosen[runs] = True
-        return np.repeat(chosen, self.run_lengths)
-
 
 def sampled_signal(record: Record, name: str) -> SampledSignal:
     """A signal of a record.
@@ -166,15 +158,13 @@ class Signals:
     """The signals of a record, of which some are looked at.
 
     **Fields:** `by_name`, all of them; `names` of those that are looked at; `computed`, those that
-    no sensor recorded; `pairs` of a signal and its derivative; `kept`, what a function found of all
-    of them.
+    no sensor recorded; `pairs` of a signal and its derivative.
     """
 
     by_name: Mapping[str, SampledSignal]
     names: Sequence[str]
     computed: Collection[str] = ()
     pairs: Sequence[tuple[str, str]] = ()
-    kept: dict[Callable, Any] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -340,44 +330,3 @@ def rest_of(record: Record, name: str) -> Rest | None:
     if not max(COARSE if is_coarse else LEAST, OF_SLOW * lengths.sum() / values.size) < share < 1:
         return None
     return Rest(float(share), max(REACH[0] * noise, REACH[1] * usual))
-
-
-# What is looked at once: samples are searched for faults when a recording is read, and checked for
-# those that are left before it is summed. Where nothing changed in between, the answer is the same.
-
-Given = ParamSpec("Given")
-Answer = TypeVar("Answer")
-
-KEPT = 2**6
-"""Answers of a search that are kept: of the signals of a recording or two."""
-
-
-def once(search: Callable[Given, Answer]) -> Callable[Given, Answer]:
-    """A function of samples that answers from memory if it is asked the same again.
-
-    Samples are compared by their digest, which takes a thousandth of the time that a search takes,
-    and keeps none of them.
-    """
-    # An answer in a tuple of its own: it may be `None`.
-    kept: dict[Any, tuple[Answer]] = {}
-
-    @functools.wraps(search)
-    def asked(*given: Given.args, **named: Given.kwargs) -> Answer:
-        leaves, structure = jax.tree.flatten((given, named))
-        key = structure, *map(_content, leaves)
-        found = kept.get(key)
-        if found is None:
-            found = kept[key] = (search(*given, **named),)
-            for oldest in list(kept)[:-KEPT]:
-                kept.pop(oldest, None)
-        return found[0]
-
-    return asked
-
-
-def _content(leaf: Any) -> Any:
-    """What it is compared by."""
-    if not isinstance(leaf, np.ndarray):
-        return leaf
-    digest = hashlib.sha1(leaf.tobytes(), usedforsecurity=False).digest()
-    return leaf.shape, leaf.dtype.str, digest

@@ -7,7 +7,6 @@ while, bumps in a road.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +24,7 @@ from riecjax.records.faults.sampled_signal import (
     Signals,
     fault,
     percent,
+    size_of,
     spread_of,
 )
 from riecjax.records.faults.spikes import outliers
@@ -43,14 +43,12 @@ FOLLOWED = 0.98
 """Share of a signal that others must explain to tell what it does at its limit."""
 LAGS = range(-2, 3)
 BEYOND = 0.1
-"""Standard deviations beyond a limit where others must surely not say that a signal goes on."""
+"""Standard deviations beyond a limit where others must not say that a signal goes on."""
 MANY_VISITS = 10
 """Visits to a limit that are enough to tell."""
 STEEP = 10.0
-"""Quanta by which a steep approach lies off the extreme two samples before, so that rounding does
-not hide it. A crest that stays within its last quantum for 3 samples comes from less than 9."""
-AWAY = 4
-"""Samples in which noise, and no motion, leaves an extreme and returns to it."""
+"""Quanta by which a steep approach lies off the extreme two samples before. A crest that stays
+within its last quantum for 3 samples comes from less than 9."""
 
 
 class Visits(NamedTuple):
@@ -121,12 +119,6 @@ def _visits(signal: SampledSignal, sign: float) -> Visits | None:
         # falls. On a straight approach far / near is 2 to 3.
         hidden = np.sqrt(np.minimum(quantum / np.maximum(near, quantum), 1.0))
         steep &= (near > STEEP * quantum) & ~(near * (2 - hidden) ** 2 <= far)
-    # Noise takes it far off and back at once, which no motion does.
-    gaps = np.stack([starts[:-1] + lengths[:-1], starts[1:]], axis=1)
-    if len(gaps):
-        depth = np.fmax.reduceat(inside[4:-4], gaps.ravel())[::2]
-        away = (np.diff(gaps)[:, 0] <= AWAY) & (depth > STEEP * quantum)
-        steep |= np.pad(away, (0, 1)) | np.pad(away, (1, 0))
     return Visits(sign, float(extreme), starts, samples, int(steep.sum()))
 
 
@@ -134,36 +126,29 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
     """Whether other signals, at lags of two samples, stay at the limit with the signal.
 
     Of a sensor at the end of its range all that follows the signal goes on beyond. Of a real limit
-    one balance may break there, such as that of a spring that parts, so that one signal and two are
-    left out in turn; the others, such as the masses that it moves, keep to it.
+    one balance may break there, such as that of a spring that parts, so that each signal is left
+    out in turn; the others, such as the masses that it moves, keep to it.
     """
-    rows = [np.stack([np.roll(s.values, lag) for lag in LAGS]) for s in others if s.levels.size > 1]
+    moving = [s.values / size_of(s.values) for s in others if s.levels.size > 1]
+    rows = [np.stack([np.roll(values, lag) for lag in LAGS]) for values in moving]
     if len(rows) < 2 or side.starts.size < MANY_VISITS:
         return False
-    target = signal.values
-    known = np.all(~np.isnan(np.concatenate([target[None], *rows])), axis=0)
+    beyond = side.sign * (signal.values - side.extreme)
+    known = ~np.isnan(np.sum(rows, axis=(0, 1)) + beyond)
     known[[0, 1, -2, -1]] = False
-    held = known & (np.abs(target - side.extreme) <= signal.rounding)
+    held = known & (beyond >= -signal.rounding)
     free = np.flatnonzero(known & ~held)
     free = free[:: max(free.size // ENOUGH, 1)]
     if not held.any() or free.size < 100:
         return False
-    size = float(np.std(target[free]))
-    columns = np.concatenate([*rows, np.ones((1, target.size)), target[None] / size])
-    columns[:-1] /= np.maximum(
-        np.max(np.abs(columns[:-1, known]), axis=1, keepdims=True), np.finfo(float).tiny
-    )
-    # Columns Q R leave the same of each other as those of R do, which are few and short.
-    triangle, there = np.asarray(np.linalg.qr(columns[:, free].T, mode="r")), columns[:, held]
-    signal_of_row = np.repeat(np.arange(len(rows)), len(LAGS))
-    for left_out in (*combinations(range(len(rows)), 1), *combinations(range(len(rows)), 2)):
-        kept = np.append(np.flatnonzero(~np.isin(signal_of_row, left_out)), signal_of_row.size)
-        weights = np.linalg.lstsq(triangle[:, kept], triangle[:, -1], rcond=1e-10)[0]
+    target = beyond[free] / np.std(beyond[free])
+    for left_out in range(len(rows)):
+        columns = [*rows[:left_out], *rows[left_out + 1 :], np.ones((1, known.size))]
+        columns = np.concatenate(columns)
+        weights = np.linalg.lstsq(columns[:, free].T, target, rcond=1e-10)[0]
         # About zero: the constant is among them.
-        error = float(np.linalg.norm(triangle[:, -1] - triangle[:, kept] @ weights))
-        beyond = side.sign * (weights @ there[kept] - side.extreme / size)
-        surely = np.mean(beyond) + 2 * np.std(beyond) / np.sqrt(side.starts.size)
-        if error**2 < (1 - FOLLOWED) * free.size and surely < BEYOND:
+        error = np.mean((target - weights @ columns[:, free]) ** 2)
+        if error < 1 - FOLLOWED and np.mean(weights @ columns[:, held]) < BEYOND:
             return True
     return False
 
@@ -200,7 +185,10 @@ MOVES = 0.3
 def stuck(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     """A long run of one value, begun or left by a jump, while another signal moves on; or short
     ones of the same value, all begun and left by jumps."""
+    if signal.is_command:
+        return
     others = signals.beside(signal.name)
+    number = np.repeat(np.arange(signal.run_lengths.size), signal.run_lengths)
     for still, long in ((dropouts(signal), False), (long_runs(signal, others), True)):
         if not still.size:
             continue
@@ -218,7 +206,7 @@ def stuck(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
             f"the samples).",
             # What drops out is far off: each sample counts for several.
             doubt=samples / signal.sample_count if long else 1.0,
-            samples=signal.shown_in(still),
+            samples=np.isin(number, still),
             step=f"Leave out what {{}} showed while it {'was stuck' if long else 'dropped out'}",
         )
 
@@ -229,30 +217,25 @@ def dropouts(signal: SampledSignal) -> np.ndarray:
     A motion that comes to rest, or runs into a limit, gets there by steps as small as any other.
     """
     starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
-    several, steps = np.flatnonzero(lengths >= SHORT), np.abs(np.diff(signal.values))
-    moving = _moving(signal, steps, several, beside=1)
-    if not moving.size:
-        return np.zeros(0, int)
-    usual = float(np.quantile(moving, STEADY))
-    padded = np.pad(steps, 1, constant_values=np.inf)
+    steps = np.abs(np.diff(signal.values))
+    moving = steps[steps > 0]
+    usual, jump = np.median(moving), JUMP * np.quantile(moving, STEADY)
+    padded = np.pad(steps, 1, constant_values=np.nan)
     into, out = padded[starts], padded[starts + lengths]
-    least, most = np.fmin(into, out), np.where(np.isfinite(into + out), np.fmax(into, out), 0.0)
+    several = np.flatnonzero(lengths >= SHORT)
     found = [np.zeros(0, int)]
     # An encoder has thousands of values: those are looked at that are entered or left by jumps.
-    for value in np.unique(values[several[most[several] > JUMP * usual]]):
-        own = np.flatnonzero(values == value)
-        long = own[lengths[own] >= SHORT]
+    for value in np.unique(values[several[np.maximum(into, out)[several] > jump]]):
+        long = several[values[several] == value]
         # A signal that was near the value may enter it gently at one end, and not mostly at both.
-        jumps = np.median(most[long]) > JUMP * usual and np.median(least[long]) > np.median(moving)
-        if long.size >= PLACES and jumps and 2 * long.size > own.size:
+        if long.size >= PLACES and np.median(np.fmin(into, out)[long]) > usual:
             found.append(long)
     # Of a signal whose values come once, another one each time: the last is written again.
     again = np.flatnonzero(lengths > SHORT)
     if (
         np.mean(signal.counts == 1) > UNIQUE
         and np.unique(values[again]).size >= PLACES
-        and not np.isin(values[again], values[lengths <= SHORT]).any()
-        and np.median(out[again]) > TURNING * np.median(moving)
+        and np.nanmedian(out[again]) > TURNING * usual
     ):
         found.append(again)
     return np.unique(np.concatenate(found))
@@ -262,11 +245,11 @@ def long_runs(signal: SampledSignal, others: Sequence[SampledSignal]) -> np.ndar
     """Which of the signal's runs a stuck sensor showed."""
     starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
     usual, steps = float(np.quantile(lengths, 0.95)), np.abs(np.diff(signal.values))
-    long = np.flatnonzero(lengths >= max(STUCK_SAMPLES, STUCK_RATIO * usual))
-    moving = _moving(signal, steps, long)
-    if not (long.size and moving.size):
-        return np.zeros(0, int)
-    least = max(ABRUPT * float(np.median(moving[moving > 0])), ABRUPT_QUANTA * signal.resolution)
+    long, moving = (
+        np.flatnonzero(lengths >= max(STUCK_SAMPLES, STUCK_RATIO * usual)),
+        steps[steps > 0],
+    )
+    least = max(ABRUPT * float(np.median(moving)), ABRUPT_QUANTA * signal.resolution)
     # The larger one of the steps into and out of each run.
     padded = np.pad(steps, 1, constant_values=np.nan)
     edges = np.fmax(padded[starts], padded[starts + lengths])
@@ -282,20 +265,6 @@ def long_runs(signal: SampledSignal, others: Sequence[SampledSignal]) -> np.ndar
         for run in long
     ]
     return long[stuck]
-
-
-def _moving(
-    signal: SampledSignal, steps: np.ndarray, runs: np.ndarray, beside: int = 0
-) -> np.ndarray:
-    """The steps outside of some runs, and not so many beside them, in a signal that moves; none of
-    a command, or of what mostly rests."""
-    if signal.is_command:
-        return steps[:0]
-    inside = np.zeros(steps.size, bool)
-    for start, length in zip(signal.run_starts[runs], signal.run_lengths[runs]):
-        inside[max(start - beside, 0) : start + length - 1 + beside] = True
-    moving = steps[~inside & ~np.isnan(steps)]
-    return moving if moving.size and np.mean(moving == 0) <= LONGEST_REST else steps[:0]
 
 
 def _rest_of_record(others: Sequence[SampledSignal], start: int, length: int) -> str:
@@ -321,9 +290,6 @@ def _rest_of_record(others: Sequence[SampledSignal], start: int, length: int) ->
 
 FEWEST_MESSAGES = 20
 """Values, each held, that tell of messages."""
-ON_TIME, JITTER = 0.95, 0.25
-"""Share of values that are held for as long as the others, or for some times that, and by how much
-of it they may miss that."""
 QUANTA = 3.0
 """Quanta from value to value (median) up to which it is an encoder at an even speed."""
 FOLLOWS = 1.0
@@ -338,22 +304,15 @@ those of a motion do, but are the steps of a command."""
     "--every",
 )
 def held(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
-    """Each value is held for as many samples, as of messages on a bus."""
+    """Each value is held for a while, as of messages on a bus."""
     there = ~np.isnan(signal.run_values)
-    inner = there[1:-1] & there[:-2] & there[2:]
-    lengths, values = signal.run_lengths[1:-1][inner], signal.run_values[there]
+    lengths, values = signal.run_lengths[there], signal.run_values[there]
     if lengths.size < FEWEST_MESSAGES or signal.levels.size <= FEW_LEVELS:
         return
     every = round(float(np.median(lengths)))
-    late = np.abs(lengths - every * np.maximum(np.round(lengths / every), 1)) / every
     steps, size = np.abs(np.diff(values)), spread_of(values)
     change = float(np.sqrt(np.mean((steps / size) ** 2)))
-    if (
-        every > 1
-        and np.mean(late <= JITTER) >= ON_TIME
-        and np.median(steps) > QUANTA * signal.resolution
-        and change**2 < FOLLOWS
-    ):
+    if every > 1 and np.median(steps) > QUANTA * signal.resolution and change**2 < FOLLOWS:
         yield Found(
             f"shows each value for {every} samples, as of a message that comes so seldom: at the "
             f"last of them it is {(every - 1) * signal.time_step:.4g} s old, and between them it "
@@ -423,9 +382,8 @@ def quantised(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     rms = spread_of(signal.values)
     steps = np.abs(np.diff(signal.values))
     steps = steps[~np.isnan(steps)]
-    # Few levels that are held for long are a command's.
-    steady = signal.levels.size <= FEW_LEVELS and np.mean(steps == 0) > 0.95
-    if signal.levels.size < 5 or steady or signal.resolution <= COARSE * rms:
+    # Few levels are a command's.
+    if signal.levels.size <= FEW_LEVELS or signal.resolution <= COARSE * rms:
         return
     change = float(np.sqrt(np.mean((steps / signal.resolution) ** 2)))
     yield Found(

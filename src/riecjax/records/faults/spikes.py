@@ -13,9 +13,9 @@ all others is a spike.
 
 The motion may answer to what looks like spikes: blows of a hammer, impacts, short pulses. A force
 that acts for a few samples changes a velocity by its impulse over the mass, and the slope of a
-position. What goes wrong in one sensor changes nothing in another. So lines are put through the
-samples before and behind each spike of every other signal, straight ones and parabolas: where their
-levels or slopes part further than they do elsewhere, the spike acted.
+position. What goes wrong in one sensor changes nothing in another. So parabolas are put
+through the samples before and behind each spike of every other signal: where their levels or slopes
+part further than they do elsewhere, the spike acted.
 """
 
 import functools
@@ -37,8 +37,6 @@ from riecjax.records.faults.sampled_signal import (
     fault,
     is_command,
     levels_of,
-    once,
-    resolution_of,
 )
 from riecjax.records.linear_op import LinearOp, Operations, step
 from riecjax.records.record import Record, run_lengths
@@ -64,22 +62,18 @@ FEWEST = 20
 """Samples below which nothing is looked for."""
 BLOCK = 128
 """Samples over which noise is taken to be alike."""
-STEADIEST = 0.1
-"""Share of the noise of all of a signal that its noise is anywhere, at the least."""
 BEYOND = 1e3
 """Times the largest other value past which a sample of a command is none that was meant."""
 IMPOSSIBLE = 1e30
 """What no command takes in any unit, though all of its other values are zero."""
-FIFTH, FEW, TAIL_BLOCK, USUAL_TAIL = 0.2, 0.03, 1024, 3.0
-"""A spike is three times as far off as a fifth of all samples nearby are, and once spikes are taken
-out three in a hundred of them. In white noise this asks for 6.5 of its standard deviations, and
-among corners, kicks or steps for more than is usual there."""
+FEW, TAIL_BLOCK, USUAL_TAIL = 0.03, 1024, 3.0
+"""A spike is three times as far off as three in a hundred of all samples nearby are, once spikes
+are taken out. In white noise this asks for 6.5 of its standard deviations, and among corners, kicks
+or steps for more than is usual there."""
 NEARLY = 4.5
 """Standard deviations off a polynomial past which what is left may be steps, or the like."""
 PASSES = 12
 """Times that spikes are taken out, once others do not hide them."""
-MANY = 0.5
-"""Share of the samples past which what is taken out is how the signal is."""
 LARGEST = 1e60
 """Robust scales at which values are cut off, so that their squares are numbers."""
 MOST = 0.05
@@ -92,8 +86,6 @@ SIDE, GAP = 8, LONGEST // 2 + 1
 """Samples of each line beside a spike, and to each side of its middle that no line goes through."""
 PARTING = 4.0
 """Times the largest parting of lines elsewhere that is no chance."""
-MOST_BLOWS = 64
-"""Spikes that are looked at for an answer."""
 
 Treatment: TypeAlias = Literal["repair", "missing", "keep"]
 """What becomes of spikes: a local polynomial's value takes their place, they are marked as missing,
@@ -134,7 +126,6 @@ class Spikes(NamedTuple):
 
 
 # Values up to the largest number overflow when scaled; they are cut off.
-@once
 @np.errstate(all="ignore")
 def find_spikes(values: Samples) -> Spikes:
     """The spikes of a signal, NaN where samples are missing."""
@@ -159,16 +150,14 @@ def find_spikes(values: Samples) -> Spikes:
         noise = np.zeros(values.size)
     else:
         local = min(map(Local.of, DEGREES), key=lambda each: each.error(scaled))
-        removed, noise = _taken_out(scaled, resolution_of(levels), local)
+        removed, noise = _taken_out(scaled, local)
         spikes, cleaned = _judged(scaled, removed, noise, local)
         places = np.flatnonzero(spikes)
         repaired = centre + scale * cleaned[places]
     return Spikes(places, repaired, np.abs(values[places] - repaired), scale * noise[places])
 
 
-def _taken_out(
-    scaled: Samples, quantum: float, local: "Local"
-) -> tuple[Bool[np.ndarray, " n"], Samples]:
+def _taken_out(scaled: Samples, local: "Local") -> tuple[Bool[np.ndarray, " n"], Samples]:
     """Samples that may be spikes, the furthest off first, and the noise around each."""
     missing = np.isnan(scaled)
     removed, cleaned, stretch = np.zeros(scaled.size, bool), scaled.copy(), np.cumsum(missing)
@@ -180,19 +169,16 @@ def _taken_out(
         off = local.off(cleaned)
         noise = _reached(off, BLOCK, 0.5) / NORMAL
         usual = np.median(noise[noise > 0]) if np.any(noise > 0) else 0.0
-        noise = np.maximum(np.where(np.isnan(noise), usual, noise), STEADIEST * usual)
-        noise = np.maximum(noise, quantum)
-        nearby = np.nan_to_num(_reached(off, TAIL_BLOCK, FIFTH))
+        noise = np.where(np.isnan(noise), usual, noise)
         fit, spread, _ = local.fits(np.where(removed, np.nan, scaled), ends, stretch)
         least = np.ones(scaled.size)
         least[ends], off[ends] = spread / local.gain, np.abs(scaled[ends] - fit) / local.gain
-        share = np.nan_to_num(off / np.maximum(SPIKE * noise, USUAL_TAIL * nearby))
-        share = np.where(removed | missing, 0.0, share)
+        share = np.where(removed | missing, 0.0, np.nan_to_num(off / (SPIKE * noise)))
         # A spike spoils the polynomials of its neighbours: the largest first.
         beside = np.lib.stride_tricks.sliding_window_view(np.pad(share, BESIDE), OFFSETS.size)
         new = (share > least) & (share >= beside.max(axis=1))
         removed |= new
-        if not new.any() or np.mean(removed) > MANY:
+        if not new.any():
             break
         places = np.flatnonzero(removed)
         cleaned[places] = local.fits(np.where(removed, np.nan, scaled), places, stretch)[0]
@@ -203,7 +189,7 @@ def _judged(
     scaled: Samples, removed: Bool[np.ndarray, " n"], noise: Samples, local: "Local"
 ) -> tuple[Bool[np.ndarray, " n"], Samples]:
     """Which of the samples that may be spikes are, and the signal without them."""
-    spikes, cleaned = _clear(scaled, removed & (run_lengths(removed) <= LONGEST), noise, local)
+    spikes, cleaned = _clear(scaled, removed & (run_lengths(removed) <= LONGEST), local)
     off, rest = np.abs(scaled - cleaned), np.nan_to_num(local.off(cleaned))
     spikes &= off > USUAL_TAIL * local.gain * _reached(rest, TAIL_BLOCK, FEW)
     # Where noise changes within a block, the block's own is too small for a part of it.
@@ -214,11 +200,11 @@ def _judged(
         np.searchsorted(ordered, 3 * off) - np.searchsorted(ordered, off / 3)
         for ordered in map(np.sort, (rest[rest > NEARLY * most], off[spikes]))
     )
-    return _clear(scaled, spikes & (elsewhere < own), noise, local)
+    return _clear(scaled, spikes & (elsewhere < own), local)
 
 
 def _clear(
-    scaled: Samples, spikes: Bool[np.ndarray, " n"], noise: Samples, local: "Local"
+    scaled: Samples, spikes: Bool[np.ndarray, " n"], local: "Local"
 ) -> tuple[Bool[np.ndarray, " n"], Samples]:
     """Those of these samples that stand clear of all around, and the signal without them."""
     cleaned, stretch, before = scaled, np.cumsum(np.isnan(scaled)), 0
@@ -226,10 +212,9 @@ def _clear(
     while np.sum(spikes) != before:
         places, before = np.flatnonzero(spikes), np.sum(spikes)
         cleaned = np.where(spikes, np.nan, scaled)
-        cleaned[places], spread, clear = local.fits(cleaned, places, stretch)
-        off = np.abs(scaled - cleaned)[places]
+        cleaned[places], _, clear = local.fits(cleaned, places, stretch)
         spikes = spikes.copy()
-        spikes[places] = off > np.maximum(clear, SPIKE / 2 * spread * noise[places])
+        spikes[places] = np.abs(scaled - cleaned)[places] > clear
     return spikes, np.where(spikes, cleaned, scaled)
 
 
@@ -319,16 +304,13 @@ def are_answered(places: Int[np.ndarray, " k"], others: Iterable[Samples]) -> bo
     others, near = list(others), 2 * (GAP + SIDE)
     # The middle sample of each group of neighbours.
     groups = np.split(places, np.flatnonzero(np.diff(places) > LONGEST) + 1)
-    middles = np.array([g[g.size // 2] for g in groups if g.size], int)[:MOST_BLOWS]
+    middles = np.array([g[g.size // 2] for g in groups if g.size], int)
     offsets = np.arange(GAP + 1, GAP + SIDE + 1)
-    # Level and slope of lines and of parabolas, before each sample and behind; before it time runs
-    # the other way: there levels are alike, slopes opposite.
+    # Level and slope of parabolas before each sample and behind; before it time runs the other way:
+    # there levels are alike, slopes opposite.
     kernels = [
         np.concatenate([sign * taps[::-1], np.zeros(2 * GAP + 1), taps])
-        for coefficients in (2, 3)
-        for taps, sign in zip(
-            np.linalg.pinv(np.vander(offsets, coefficients, increasing=True)), (-1, 1)
-        )
+        for taps, sign in zip(np.linalg.pinv(np.vander(offsets, 3, increasing=True)), (-1, 1))
     ]
     level = LEVEL / max(len(kernels) * len(others), 1)
     for values in (values for values in others if values.size >= near):

@@ -63,14 +63,11 @@ KNOTS = 20
 """Samples to each side past which a spline through them no longer feels one: 0.27^20 = 4e-12."""
 PHASES = 64
 """Places between samples that a grid is taken to have, at the most."""
-LARGEST_GRID = 50_000_000
-"""Samples, over all channels, that a new grid may have before it is refused."""
 LARGEST_GROWN, MOST_TIMES = 3_000_000, 16
-"""The same where it has more than so many times as many as were recorded, which say no more."""
+"""Samples, over all channels, from which a new grid is refused that has more than so many times as
+many as were recorded, which say no more."""
 BYTES_OF_IDENTIFYING = 170.0
 """What a sample of one channel takes in `riecjax identify`, as measured from 12,000 on."""
-BYTES_PER_SAMPLE = 60.0
-"""What a sample of one channel on its new grid takes."""
 LONGEST_STEP = 3.0
 """Usual steps of a channel past which samples are missing between two of its stamps."""
 SAME_RATE = 0.01
@@ -350,13 +347,14 @@ def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel:
 
 def _require_room(samples: float, recorded: int, how: str, remedy: str) -> None:
     """Refuse so many samples of a new grid, over all channels, that memory does not hold."""
-    if samples > min(LARGEST_GRID, max(LARGEST_GROWN, MOST_TIMES * recorded)):
+    size = samples * BYTES_OF_IDENTIFYING
+    if samples > max(LARGEST_GROWN, MOST_TIMES * recorded):
         raise DataError(
             f"{how} would make {samples:.3g} samples, over all signals, of {recorded} that were "
-            f"recorded and say as much; to identify from them takes about "
-            f"{in_gigabytes(samples * BYTES_OF_IDENTIFYING)} of memory. {remedy}"
+            f"recorded and say as much; to identify from them takes about {in_gigabytes(size)} of "
+            f"memory. {remedy}"
         )
-    require_memory(f"resampling to {samples:.2g} samples", samples * BYTES_PER_SAMPLE, remedy)
+    require_memory(f"resampling to {samples:.2g} samples", size, remedy)
 
 
 def band_limited(samples: np.ndarray, positions: np.ndarray, spacing: float) -> np.ndarray:
