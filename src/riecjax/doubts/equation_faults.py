@@ -129,7 +129,8 @@ class Weighing:
         changing = {
             one.signals
             for one in rough.of("clock")
-            if rough.is_sure(one) or rough.is_sure(one, delays.get(one.signals, []))
+            for beside in ([], delays.get(one.signals, []))
+            if rough.is_sure(one, beside) and rough.left([*beside, one]) < HALF * rough.left(beside)
         }
         causes = Causes(folds, near, sizes, rough.trials)
         return cls(asked, records, causes, changing, is_exact)

@@ -6,6 +6,7 @@ check fires on what machines do: axes at rest, relays and steps, encoders that s
 while, bumps in a road.
 """
 
+import itertools
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
@@ -126,8 +127,8 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
     """Whether other signals, at lags of two samples, stay at the limit with the signal.
 
     Of a sensor at the end of its range all that follows the signal goes on beyond. Of a real limit
-    one balance may break there, such as that of a spring that parts, so that each signal is left
-    out in turn; the others, such as the masses that it moves, keep to it.
+    one balance may break there, such as that of a spring that parts, so that one signal and two are
+    left out in turn; the others, such as the masses that it moves, keep to it.
     """
     moving = [s.values / size_of(s.values) for s in others if s.levels.size > 1]
     rows = [np.stack([np.roll(values, lag) for lag in LAGS]) for values in moving]
@@ -142,9 +143,10 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
     if not held.any() or free.size < 100:
         return False
     target = beyond[free] / np.std(beyond[free])
-    for left_out in range(len(rows)):
-        columns = [*rows[:left_out], *rows[left_out + 1 :], np.ones((1, known.size))]
-        columns = np.concatenate(columns)
+    every = range(len(rows))
+    for left_out in (*itertools.combinations(every, 1), *itertools.combinations(every, 2)):
+        kept = [rows[number] for number in every if number not in left_out]
+        columns = np.concatenate([*kept, np.ones((1, known.size))])
         weights = np.linalg.lstsq(columns[:, free].T, target, rcond=1e-10)[0]
         # About zero: the constant is among them.
         error = np.mean((target - weights @ columns[:, free]) ** 2)
