@@ -7,6 +7,7 @@ from nightly import nightly
 from riecjax.doubts.columns import Asked, delay_of
 from riecjax.doubts.delays import Settled, settled
 from riecjax.doubts.equation_faults import demanded, finding_of
+from riecjax.doubts.kinematics import check_kinematics
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import as_model, staged
 from riecjax.equations.term import Term
@@ -101,6 +102,42 @@ def test_a_delay_is_found_within_five_percent_of_a_sample(delay):
     option, value = finding.remedy
     assert option == "--shift"
     assert float(value.removeprefix("F=")) == pytest.approx(delay * STEP, abs=0.05 * STEP)
+
+
+@pytest.mark.raises_finding("late_signal")
+def test_a_delay_of_many_samples_at_a_high_rate_is_as_long_as_any(monkeypatch):
+    monkeypatch.setitem(globals(), "STEP", STEP / 10)
+    (cause,), (finding,) = told(recorded(0, delay=36.0, samples=4 * SAMPLES))
+    assert cause.undone is not None
+    assert cause.undone.samples == pytest.approx(36, abs=0.2)
+    assert finding.code == "late_signal"
+
+
+def test_a_delay_too_long_for_a_short_record_ends_nothing():
+    for samples, delay in ((60, 3), (80, 4), (120, 6)):
+        for shift in (delay, delay + 1):
+            check_kinematics(recorded(0, delay=shift, samples=samples), [("x", "F"), ("x", "v")])
+
+
+@pytest.mark.raises_finding("drifting_signal")
+@pytest.mark.parametrize("seed", range(3))
+def test_a_drift_is_sized_with_the_parameters_that_it_moves(seed):
+    """Of a position as large as its motion, beside which the stiffness is a fifth."""
+    record = recorded(seed)
+    drift = 3.0 * float(np.std(record["x"]))
+    line = drift * np.linspace(-0.5, 0.5, SAMPLES)
+    (cause,), _ = told(record.with_signals({"x": record.signal("x") + line}))
+    assert cause.doubt.name in ("drift of x", "drift of F")
+    of_x = 1.0 if cause.doubt.signals == ("x",) else -1 / TRUTH["k"]
+    assert of_x * cause.size == pytest.approx(drift, rel=0.02)
+
+
+@pytest.mark.no_finding("unmodelled_mode", "late_signal", "missing_term", "wrong_zero")
+@pytest.mark.parametrize("noise", [0.05, 0.1])
+def test_noise_of_a_sound_axis_is_no_mode(noise):
+    for seed in range(12):
+        _, found = told(recorded(seed, noise=noise, samples=3000))
+        assert not found
 
 
 @pytest.mark.no_finding("late_signal", "low_passed", "two_clocks", "lost_rows")

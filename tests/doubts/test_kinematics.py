@@ -126,8 +126,8 @@ def test_a_fault_is_named_and_undone_by_what_is_proposed(relation, name, fault):
         assert check_kinematics(aligned.record, [relation]) == []
 
 
-def compared(record: rx.Record) -> Compared:
-    pair = compare(record, PLAIN)
+def compared(record: rx.Record, relation: Relation = PLAIN) -> Compared:
+    pair = compare(record, relation)
     assert pair is not None
     return pair
 
@@ -147,6 +147,23 @@ def test_a_delay_is_found_to_a_part_of_a_sample(noise, within, delay):
     assert pair.sizes is not None
     assert pair.sizes["v"].value == pytest.approx(1, abs=0.01)
     assert not pair.late[name].low_passed
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_several_faults_of_a_sum_are_told_apart(seed):
+    motion = Motion(SUM, seed)
+    late = {n: motion.at(n, TIME - by * STEP) for n, by in (("x3", 3), ("x4", 6))}
+    pair = compared(recorded(motion, faulty=late, seed=seed), SUM)
+    times = {name: pair.late[name].samples if name in pair.late else 0.0 for name in SUM.names}
+    # Of what all have in common a relation knows nothing.
+    assert times["x3"] - times["x2"] == pytest.approx(3, abs=0.5)
+    assert times["x4"] - times["x2"] == pytest.approx(6, abs=0.5)
+    x4 = motion.at("x4", TIME)
+    both = {"x3": late["x3"], "x4": x4 + 0.3 * np.std(x4)}
+    pair = compared(recorded(motion, faulty=both, seed=seed), SUM)
+    assert pair.late["x3"].samples == pytest.approx(3, abs=0.1)
+    assert {one.code for one in pair.found} == {"late_signal", "velocity_offset"}
+    assert all(one.remedy for one in pair.found)
 
 
 def test_errors_are_what_delays_and_gains_scatter_by():

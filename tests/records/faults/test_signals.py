@@ -5,6 +5,7 @@ import functools
 import numpy as np
 import pytest
 import scipy.io
+from tests.machines import Shape, simulated
 
 import riecjax as rx
 from conftest import measured_data
@@ -231,6 +232,18 @@ def test_a_mass_that_lifts_off_is_a_real_limit(noise):
     signals = bouncing(noise)
     assert np.mean(signals["force"] == -9.81) > 0.01
     assert clips(signals) == []
+
+
+@pytest.mark.no_finding("clipped")
+@pytest.mark.parametrize("seed", [0, 1, 5])
+def test_a_wheel_that_lifts_is_a_real_limit(seed):
+    """Its tyre's force stays at the car's weight, and two of the balances break there."""
+    record = simulated("quarter-car-source", seed, Shape(8000, 200))
+    weight = np.max(record["F_t"])
+    assert np.sum(record["F_t"] == weight) > 10
+    names = ["F_t", "x1", "x2", "x3", "x4"]
+    codes = [one.code for one in check_signals(record, names) if "F_t" in one.signals]
+    assert "clipped" not in codes
 
 
 @pytest.mark.raises_finding("clipped")
