@@ -149,6 +149,12 @@ def test_a_delay_is_found_to_a_part_of_a_sample(noise, within, delay):
     assert not pair.late[name].low_passed
 
 
+def test_a_delay_too_long_for_a_short_record_ends_nothing():
+    for delay in (3.0, 4.0, 6.0):
+        for count in range(50, 130, 3):
+            check_kinematics(late(delay, 0.01, count=count), [PLAIN])
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_several_faults_of_a_sum_are_told_apart(seed):
     motion = Motion(SUM, seed)
