@@ -6,8 +6,8 @@ check fires on what machines do: axes at rest, relays and steps, encoders that s
 while, bumps in a road.
 """
 
-import itertools
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +25,6 @@ from riecjax.records.faults.sampled_signal import (
     Signals,
     fault,
     percent,
-    size_of,
     spread_of,
 )
 from riecjax.records.faults.spikes import outliers
@@ -44,7 +43,7 @@ FOLLOWED = 0.98
 """Share of a signal that others must explain to tell what it does at its limit."""
 LAGS = range(-2, 3)
 BEYOND = 0.1
-"""Standard deviations beyond a limit where others must not say that a signal goes on."""
+"""Standard deviations beyond a limit where others must surely not say that a signal goes on."""
 MANY_VISITS = 10
 """Visits to a limit that are enough to tell."""
 STEEP = 10.0
@@ -130,27 +129,33 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
     one balance may break there, such as that of a spring that parts, so that one signal and two are
     left out in turn; the others, such as the masses that it moves, keep to it.
     """
-    moving = [s.values / size_of(s.values) for s in others if s.levels.size > 1]
-    rows = [np.stack([np.roll(values, lag) for lag in LAGS]) for values in moving]
+    rows = [np.stack([np.roll(s.values, lag) for lag in LAGS]) for s in others if s.levels.size > 1]
     if len(rows) < 2 or side.starts.size < MANY_VISITS:
         return False
-    beyond = side.sign * (signal.values - side.extreme)
-    known = ~np.isnan(np.sum(rows, axis=(0, 1)) + beyond)
+    target = signal.values
+    known = np.all(~np.isnan(np.concatenate([target[None], *rows])), axis=0)
     known[[0, 1, -2, -1]] = False
-    held = known & (beyond >= -signal.rounding)
+    held = known & (np.abs(target - side.extreme) <= signal.rounding)
     free = np.flatnonzero(known & ~held)
     free = free[:: max(free.size // ENOUGH, 1)]
     if not held.any() or free.size < 100:
         return False
-    target = beyond[free] / np.std(beyond[free])
-    every = range(len(rows))
-    for left_out in (*itertools.combinations(every, 1), *itertools.combinations(every, 2)):
-        kept = [rows[number] for number in every if number not in left_out]
-        columns = np.concatenate([*kept, np.ones((1, known.size))])
-        weights = np.linalg.lstsq(columns[:, free].T, target, rcond=1e-10)[0]
+    size = float(np.std(target[free]))
+    columns = np.concatenate([*rows, np.ones((1, target.size)), target[None] / size])
+    columns[:-1] /= np.maximum(
+        np.max(np.abs(columns[:-1, known]), axis=1, keepdims=True), np.finfo(float).tiny
+    )
+    # Columns Q R leave the same of each other as those of R do, which are few and short.
+    triangle, there = np.asarray(np.linalg.qr(columns[:, free].T, mode="r")), columns[:, held]
+    signal_of_row = np.repeat(np.arange(len(rows)), len(LAGS))
+    for left_out in (*combinations(range(len(rows)), 1), *combinations(range(len(rows)), 2)):
+        kept = np.append(np.flatnonzero(~np.isin(signal_of_row, left_out)), signal_of_row.size)
+        weights = np.linalg.lstsq(triangle[:, kept], triangle[:, -1], rcond=1e-10)[0]
         # About zero: the constant is among them.
-        error = np.mean((target - weights @ columns[:, free]) ** 2)
-        if error < 1 - FOLLOWED and np.mean(weights @ columns[:, held]) < BEYOND:
+        error = float(np.linalg.norm(triangle[:, -1] - triangle[:, kept] @ weights))
+        beyond = side.sign * (weights @ there[kept] - side.extreme / size)
+        surely = np.mean(beyond) + 2 * np.std(beyond) / np.sqrt(side.starts.size)
+        if error**2 < (1 - FOLLOWED) * free.size and surely < BEYOND:
             return True
     return False
 
