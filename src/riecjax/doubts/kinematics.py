@@ -127,7 +127,10 @@ def compare(record: Record, relation: Relation) -> Compared | None:
         return None
     is_undone, sure = True, None
     while is_undone and len(found) < MOST:
-        causes = _causes(weighing, relation) or _of_few(weighing)
+        causes = _causes(weighing, relation)
+        # What few folds tell is proposed, and not carried out at reading.
+        is_shown = bool(causes)
+        causes = causes or _of_few(weighing)
         told = [_told(cause, relation, weighing) for cause in causes]
         # What is certain is undone first: it may be what the rest is not told from.
         certain = [*filter(lambda each: each[1].remedy, zip(causes, told))]
@@ -140,7 +143,7 @@ def compare(record: Record, relation: Relation) -> Compared | None:
         late |= {
             name: cause.undone
             for cause in causes
-            if cause.undone is not None and cause.undone.course is None
+            if is_shown and cause.undone is not None and cause.undone.course is None
             if cause.doubt.kind == "delay"
             for name in cause.doubt.signals
         }
