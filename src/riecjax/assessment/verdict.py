@@ -266,8 +266,9 @@ def _steps(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Step]:
     by = {finding.code: finding for finding in reversed(findings)}
     residuals, criterion = evidence.equation_residuals, evidence.estimate.criterion
     smooth = isinstance(getattr(criterion, "test_function", None), AbstractSmoothTestFunction)
-    # What a faulty sensor leaves may be no mode: it is put right first.
-    is_faulty = any(f.about.undo and f.remedy for f in evidence.findings())
+    # What is wrong in time or size may leave what looks like a mode: it is put right first.
+    undone = (f for f in evidence.findings() if f.about.undo and not f.about.holds)
+    is_faulty = any(finding.remedy for finding in undone)
     if "unmodelled_mode" in by and not is_faulty:
         peaked = [e for e in residuals if e.peak is not None and e.bodies]
         equation = max(peaked, key=lambda e: e.peak.size if e.peak else 0.0, default=None)
