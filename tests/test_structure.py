@@ -22,7 +22,7 @@ BUDGETS = {
     "src statements": 23_775,
     "src literals": 1_535,
     "lines of commands and settings": 2_300,
-    "tests lines": 27_200,
+    "tests lines": 27_250,
     "benchmarks lines": 8_720,
     "README lines": 150,
 }

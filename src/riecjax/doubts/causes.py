@@ -124,8 +124,8 @@ class Causes:
     def is_promising(self) -> bool:
         """Whether any doubt may be a cause, or one of several; or so much is left that a delay may
         be too large for its column."""
-        told = self.beside([])
-        most = max((told[doubt].gained for doubt in self.offered), default=0.0)
+        sure = filter(self.is_sure, self.offered)
+        most = max((self.beside([])[doubt].gained for doubt in sure), default=0.0)
         enough = PART * max(self.before, OF_NOISE * self.noise)
         return most > enough or self.before > LOST * self.folds.energy
 
