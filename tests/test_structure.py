@@ -17,10 +17,10 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 49_580,
+    "src lines": 49_320,
     "src modules": 205,
-    "src statements": 23_775,
-    "src literals": 1_535,
+    "src statements": 23_625,
+    "src literals": 1_455,
     "lines of commands and settings": 2_300,
     "tests lines": 27_250,
     "benchmarks lines": 8_720,

@@ -8,7 +8,7 @@ own registers its codes by `CODES["rattle"] = FindingClass("sensors", "{signals}
 
 import functools
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, SupportsFloat, get_args
 
 Kind = Literal["undetermined", "sensors", "model", "noise", "data", "computation", "reproduction"]
 KINDS: tuple[Kind, ...] = ("undetermined", "sensors", "model", "noise", "data", "computation")
@@ -20,7 +20,7 @@ def joined(names: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
-def in_percent(share: float, form: str = ".2g") -> str:
+def in_percent(share: SupportsFloat, form: str = ".2g") -> str:
     """A share in words, in this form: `2.3 %`; hundreds of them in digits."""
     percents = 100 * float(share)
     said = f"{percents:{form}}"
