@@ -283,10 +283,9 @@ def _steps(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Step]:
             words = f"Add a spring in series with a damper, in Python: {added}, then rx.refine"
             yield Step(words)
     # Of two that do not move alike; where one is off in size, the position may be the wrong one.
-    unlike = by.get("not_its_derivative")
-    if unlike is not None and not (unlike.step or smooth or len(unlike.signals) > 2):
-        signal, derivative = unlike.signals
-        yield Step(f"Identify from {signal} alone, without {derivative}", SMOOTH)
+    match by.get("not_its_derivative"):
+        case Finding(signals=(signal, derivative), step="") if not smooth:
+            yield Step(f"Identify from {signal} alone, without {derivative}", SMOOTH)
     if "uneven_errors" in by:
         # The zero of an input's sensor, where its equation has no constant term yet.
         names = {e.name for e in residuals if e.has_constant_part}
