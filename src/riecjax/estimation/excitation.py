@@ -125,6 +125,7 @@ class Excitation(NamedTuple):
         signals = (self.noisiest,) if self.noisiest else ()
         if share < UNIDENTIFIABLE:
             code, why, signals = "unidentifiable", "the record cannot tell these apart", ()
+            remedy = f"Leave out what multiplies the same function of the signals. {remedy}"
         elif noise > drowned:
             code = "unidentifiable"
             why = f"what tells these apart is {in_percent(noise, '.0f')} {whose}"
