@@ -22,7 +22,7 @@ BUDGETS = {
     "src statements": 23_625,
     "src literals": 1_455,
     "lines of commands and settings": 2_300,
-    "tests lines": 27_250,
+    "tests lines": 27_270,
     "benchmarks lines": 8_720,
     "README lines": 150,
 }

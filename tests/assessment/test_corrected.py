@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.machines import Shape, simulated
 
 import riecjax as rx
 
@@ -70,3 +71,22 @@ def test_what_a_sensor_could_not_show_says_how_far_it_moves_each_parameter(code)
     assert said.doubts["m"] > 0.1
     steps = [cause.step for cause in found.verdict.causes if cause.step is not None]
     assert ("--leave-out", "v") in [step.options for step in steps]
+
+
+@pytest.mark.raises_finding("not_its_derivative")
+def test_which_of_two_sensors_is_off_in_size_is_asked_and_none_taken_for_right():
+    record = recorded()
+    found = rx.assess(MODEL, record.with_signals({"x": 1.15 * record.signal("x")}), **QUICK)
+    steps = [cause.step for cause in found.verdict.causes if cause.step is not None]
+    assert "Scale v or x, whichever sensor is off" in [step.words for step in steps]
+    assert all("bump" not in step.options for step in steps)
+
+
+@pytest.mark.raises_finding("not_its_derivative")
+def test_signals_of_a_sum_that_do_not_fit_have_a_verdict():
+    record = simulated("quarter-car-source", 0, Shape(4000, 200))
+    other = record.with_signals({"x2": rx.Signal(np.asarray(record["x2"])[::-1])})
+    found = rx.assess(rx.find_model("quarter-car"), other, **QUICK)
+    codes = {finding.code: finding.signals for finding in found.findings()}
+    assert {*codes["not_its_derivative"]} == {"x2", "x3", "x4"}
+    assert not any(judged.level == "good" for judged in found.verdict.parameters.values())
