@@ -269,6 +269,11 @@ def test_a_velocity_is_held_against_its_position_whether_a_model_says_so_or_not(
     said = rx.Model(name="rig", summary="", stages=silent.stages, derived={"v": "x"})
     assert names_of(slow, silent) == names_of(slow, said) == ["v"]
     fine = recorded(motion, noise).with_signals({"F": slow.signal("F")})
+    # Of two recordings one, for which no option is proposed: how far it moves values is told.
+    both = rx.assess(silent, [slow, fine], refine=None, sweep=False, intervals=rx.Sandwich())
+    (filtered,) = [one for one in both.findings() if one.code == "low_passed"]
+    assert filtered.doubts
+    assert not filtered.remedy
     assert names_of(fine, silent) == []
     assert implied(fine, ["F", "v", "x"], []) == [PLAIN]
     assert implied(fine, ["F", "v", "x"], [PLAIN]) == []

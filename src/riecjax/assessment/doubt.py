@@ -38,7 +38,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from riecjax.criteria.windows import AbstractWindows
-from riecjax.doubts.check import Check, parameters_reading
+from riecjax.doubts.check import Check, compared_relations, parameters_reading
 from riecjax.doubts.kinematics import check_kinematics
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
@@ -49,7 +49,6 @@ from riecjax.leaves import size_of
 from riecjax.records.preparation.steps import undone
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
-from riecjax.records.relations import relations
 from riecjax.records.signal import noise_level
 from riecjax.validation.equation_errors import EquationError
 from riecjax.validation.residuals import window_errors
@@ -419,6 +418,6 @@ def _remedies(checked: Check, code: str, model: Model, record: Record) -> list[t
     recordings, what this one shows by itself."""
     faults = [finding for finding in checked.findings if finding.code == code]
     if not all(finding.remedy for finding in faults):
-        pairs = [one for one in relations(model.derivatives) if {*one.names} <= {*record.arrays}]
-        faults = [one for one in check_kinematics(record, pairs) if one.code == code]
+        compared = compared_relations(model, record, checked.signals)
+        faults = [one for one in check_kinematics(record, compared) if one.code == code]
     return [finding.remedy for finding in faults if finding.remedy]

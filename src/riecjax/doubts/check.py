@@ -202,23 +202,35 @@ def read_of(
         return signals_read(model, recording.record, criterion, summed)
 
 
+def _pairs(model: Model, read: Collection[str]) -> list[tuple[str, str]]:
+    """Signals that are read and their derivatives, as the model knows them."""
+    every = (pair for pair in model.derivatives if not isinstance(pair, Relation))
+    return [pair for pair in every if {*pair} <= {*read}]
+
+
+def compared_relations(model: Model, record: Record, read: Collection[str]) -> list[Relation]:
+    """Relations by which sensors are held against each other, of which these signals are read:
+    those that the model knows, and those that the signals show."""
+    # Of an input that no equation reads, as a road, a recording may tell all the same.
+    sums = [one for one in model.kinematics if {*one.names} <= {*record.arrays}]
+    known = [*relations([*_pairs(model, read), *sums])]
+    return [*known, *implied(record, [*read], known)]
+
+
 def of_sensors(model: Model, recording: Recording, read: Collection[str]) -> list[Finding]:
     """What is amiss with the sensors of one recording, of which these signals are read."""
     record, computed = recording.record, recording.computed
-    pairs = [p for p in model.derivatives if not isinstance(p, Relation) and {*p} <= {*read}]
-    # Of an input that no equation reads, as a road, a recording may tell all the same.
-    known = [one for one in model.kinematics if {*one.names} <= {*record.arrays}]
-    known = [*relations([*pairs, *known])]
-    of_signals = check_signals(record, read, computed=computed, pairs=pairs)
+    of_signals = check_signals(record, read, computed=computed, pairs=_pairs(model, read))
     # A value that is held, or cut off, is no gain: to scale it makes the rest wrong as well.
     # Nor are rows lost where one signal alone jumps, or is it late for what it held.
     held = {n for f in of_signals if f.about.holds for n in f.signals}
     # What holds was seen when it was read.
-    looked_at = [one for one in known if one not in recording.kinematics]
-    looked_at += implied(record, [*read], known)
+    compared = compared_relations(model, record, read)
     of_pairs = [
         finding
-        for finding in check_kinematics(record, looked_at)
+        for finding in check_kinematics(
+            record, [one for one in compared if one not in recording.kinematics]
+        )
         if not (finding.about.feigned and held & {*finding.signals})
     ]
     return [*of_signals, *of_pairs]

@@ -125,7 +125,7 @@ def compare(record: Record, relation: Relation) -> Compared | None:
     first, folds = weighing.causes, weighing.causes.folds
     if not folds.motion[:, 0, 0].sum() > MOST_NOISE * folds.energy:
         return None
-    is_undone, sure = True, None
+    is_undone, before_parts = True, None
     while is_undone and len(found) < MOST:
         causes = _causes(weighing, relation)
         # What few folds tell is proposed, and not carried out at reading.
@@ -137,8 +137,8 @@ def compare(record: Record, relation: Relation) -> Compared | None:
         causes, told = zip(*certain) if certain else (causes, told)
         if not told or any((one.code, one.signals) in found for one in told):
             break
-        if sure is None and any(cause.is_part for cause in causes):
-            sure = found.copy(), late.copy()
+        if before_parts is None and any(cause.is_part for cause in causes):
+            before_parts = found.copy(), late.copy()
         found |= {(one.code, one.signals): one for one in told}
         late |= {
             name: cause.undone
@@ -155,8 +155,8 @@ def compare(record: Record, relation: Relation) -> Compared | None:
             except DataError:  # too little of it is left
                 is_undone = False
     # A part of what is amiss is none where the rest is not found.
-    if sure is not None and not first.is_little(weighing.causes.before):
-        (found, late), is_undone = sure, False
+    if before_parts is not None and not first.is_little(weighing.causes.before):
+        (found, late), is_undone = before_parts, False
     folds, names = weighing.causes.folds, weighing.causes.base
     explained = 1 - float(folds.unexplained(names).sum() / folds.motion[:, 0, 0].sum())
     sizes = _sizes(folds, relation) if is_undone else None
