@@ -95,14 +95,15 @@ FAULTS = (
 
 
 class Case(NamedTuple):
-    """A model, a record, and the parameters' true values."""
+    """A model, a record or several, the parameters' true values, and windows, if not the usual."""
 
     kind: str
     fault: str
     noise: float
     model: rx.Equation | rx.Model
-    record: rx.Record
+    record: rx.Record | list[rx.Record]
     truth: dict[str, float]
+    criterion: rx.RIEC | None = None
 
 
 def draw(kind: Kind, rng: np.random.Generator, systems: int) -> Values:
