@@ -187,7 +187,10 @@ BODY = KINDS[0].model
 
 
 def short_pulses(rng: np.random.Generator, systems: int) -> list[Case]:
-    """A mass on a spring, struck by a hammer whose pulses last one to four samples."""
+    """A mass on a spring, struck by a hammer whose pulses last one to four samples.
+
+    Of every other one all pulses begin at the same place between samples, as of a trigger.
+    """
     step, samples, blows = 0.002, 6000, 12
     mass = log_uniform(rng, 0.5, 50, systems)
     omega = 2 * np.pi * log_uniform(rng, 2, 8, systems)
@@ -196,6 +199,8 @@ def short_pulses(rng: np.random.Generator, systems: int) -> list[Case]:
     width = step * rng.uniform(1.2, 4, systems)
     peak = 20 * mass * rng.uniform(0.8, 1.2, (blows, systems)) * 2 * step / width
     starts = 0.3 + np.arange(blows)[:, None] + rng.uniform(0, 0.3, (blows, systems))
+    triggered = 2 * step * np.round(starts / (2 * step)) + rng.uniform(0, step, systems)
+    starts = np.where(np.arange(systems) % 2, triggered, starts)
 
     def force(at: float) -> np.ndarray:
         inside = (at - starts) / width

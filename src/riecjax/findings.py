@@ -174,6 +174,7 @@ CODES: dict[str, FindingClass] = {
     "rows_left_out": _sensors("windows that touch a missing sample are left out"),
     "missing_term": _model("the model lacks a term", blames_model=True),
     "unmodelled_mode": _model("the model leaves out a mode", blames_model=True),
+    "unexplained": _model("the model leaves more than noise", blames_model=True),
     "large_residual": _model("the model leaves more than half of the signal", of_size=True),
     "residual_follows_signal": _model("what the model leaves follows {signals}", blames_model=True),
     "hysteresis": _model(

@@ -186,6 +186,22 @@ class Causes:
         best = min(pairs, key=self.left, default=[])
         return self._pruned(best) if best and self.is_little(self.left(best)) else []
 
+    def admitted(self) -> list[Doubt]:
+        """Doubts that are let in one after the other, each the one with which least is left of
+        blocks that it was not fitted to, as long as it is no chance and less is left with it."""
+        chosen: list[Doubt] = []
+        while self.folds.number >= FEWEST and len(chosen) < MOST:
+            others = [
+                doubt
+                for doubt in self.offered
+                if doubt not in chosen and doubt.kind != STATES and self.is_sure(doubt, chosen)
+            ]
+            best = min(others, key=lambda doubt: self.left([*chosen, doubt]), default=None)
+            if best is None or not self.left([*chosen, best]) < self.left(chosen):
+                break
+            chosen.append(best)
+        return chosen
+
     def _zero_hiding(self, doubt: Doubt) -> list[Doubt]:
         """The zero of a signal beside which it surely drifts, if that is doubted."""
         zeros = self.of("zero") if doubt.kind == "drift" else []

@@ -7,6 +7,7 @@ what explains as much is named beside it, and where that is so, no option is pro
 recordings cannot tell which of them would be right.
 """
 
+import copy
 import shlex
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -39,7 +40,7 @@ from riecjax.equations import expressions
 from riecjax.equations.model import Model, as_model
 from riecjax.equations.motions import per
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding, in_percent, option_for
+from riecjax.findings import Finding, in_percent, joined, option_for
 from riecjax.records.record import Record
 from riecjax.records.time_base import PPM
 from riecjax.summaries.summarise import signals_read
@@ -69,7 +70,9 @@ class Cause(NamedTuple):
     parameters change with it; what is found once it is `undone`;
     `offset` of what drifts at the record's middle; `instead`, other doubts that explain nearly as
     much, of which some are the `same` column, and `certain`, whether all others leave clearly more;
-    whether it `is_part` of what is amiss, which is to be undone before the rest is found.
+    whether it `is_part` of what is amiss, which is to be undone before the rest is found;
+    `admitted`, all doubts that were let in one after the other, where nothing explains what is
+    left, and these a part of it.
     """
 
     doubt: Doubt
@@ -83,16 +86,19 @@ class Cause(NamedTuple):
     is_part: bool = False
     instead: tuple[Doubt, ...] = ()
     same: tuple[Doubt, ...] = ()
+    admitted: tuple[Doubt, ...] = ()
 
 
 @dataclass(eq=False)
 class Weighing:
-    """What is `asked`, on records: doubts that may be a cause, as `causes`; signals whose delay may
-    be `changing` along a record; whether the equation `is_exact` but for noise, or may leave out
-    what rough shapes explain, hysteresis and modes."""
+    """What is `asked`, on records: all doubts as `rough` ones, of which noise is not taken off, and
+    those that may be a cause, as `causes`; signals whose delay may be `changing` along a record;
+    whether the equation `is_exact` but for noise, or may leave out what rough shapes explain,
+    hysteresis and modes."""
 
     asked: Asked
     records: Sequence[Record]
+    rough: Causes
     causes: Causes
     changing: Collection[tuple[str, ...]] = ()
     is_exact: bool = False
@@ -120,8 +126,9 @@ class Weighing:
         # An equation that leaves out nothing is not explained by what is significant by chance.
         is_promising = rough.is_promising or (is_exact and any(map(rough.is_sure, rough.offered)))
         if not is_promising or is_moot(rough):
-            rough.offered = []
-            return cls(asked, records, rough, (), is_exact)
+            none = copy.copy(rough)
+            none.offered = []
+            return cls(asked, records, rough, none, (), is_exact)
         resting = asked.resting_on_earlier
         near = [doubt for doubt in rough.nearest(NEAR) if doubt.equation not in resting]
         folds = folds_of(asked, records, near)
@@ -133,7 +140,7 @@ class Weighing:
             if rough.is_sure(one, beside) and rough.left([*beside, one]) < HALF * rough.left(beside)
         }
         causes = Causes(folds, near, sizes, rough.trials)
-        return cls(asked, records, causes, changing, is_exact)
+        return cls(asked, records, rough, causes, changing, is_exact)
 
     def found(self) -> list[Cause]:
         """What the data demand; nothing where nothing explains what is left."""
@@ -161,14 +168,35 @@ class Weighing:
         chosen = [doubt for doubt in chosen if not causes.is_zero_of(doubt, drifting)]
         if not chosen and self.is_exact:
             return self._part_of(known)
-        if chosen or not is_notable:
+        if chosen or self.is_exact:
             return [self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen]
-        rough = self._hysteresis() or self._mode()
+        rough = self._hysteresis() if is_notable else None
+        mode = self._mode() if is_notable and rough is None else None
+        if mode is not None and self._rings(mode):
+            rough = mode
         # A rough shape is no cause where a delay explains more.
         best = min(delays, key=lambda delay: causes.left([delay]), default=None)
         if rough and best and causes.rms(causes.left([best])) < rough.left:
             rough = self._cause(best, [best], known[best])
-        return [] if rough is None else [rough]
+        return [each for each in (rough or self._unexplained(mode),) if each is not None]
+
+    def _unexplained(self, mode: Cause | None) -> Cause | None:
+        """Doubts that explain a part of what is left, let in one after the other, with the farthest
+        that any of them, or a mode, moves each parameter."""
+        rough, fits = self.rough, list[dict[str, float]]()
+        chosen, moved = rough.admitted(), dict[str, float]()
+        for count in range(len(chosen) + 1):
+            names = rough.names(chosen[:count])
+            fits.append(dict(zip(names, rough.folds.fitted(names).tolist())))
+        moves = [self._moved(fit, fits[0]) for fit in fits[1:]]
+        moves += [] if mode is None else [mode.moved]
+        for name, share in (entry for some in moves for entry in some.items()):
+            moved[name] = max(moved.get(name, 0.0), share, key=abs)
+        before, left = (rough.rms(rough.left(some)) for some in ([], chosen))
+        if chosen and (mode is None or left < mode.left):
+            size = fits[-1][chosen[0].name]
+            return Cause(chosen[0], size, before, left, moved, admitted=tuple(chosen))
+        return mode and mode._replace(moved=moved, admitted=(mode.doubt,))
 
     def _part_of(self, known: Mapping[Doubt, Settled]) -> list[Cause]:
         """The delay that explains most of what is left, where others are beside it: columns of what
@@ -291,10 +319,15 @@ class Weighing:
             return None
         folds = folds_of(mode.asked, self.records, [mode.doubt])
         found = Causes(folds, [mode.doubt], {}, causes.trials)
-        rings = found.left([mode.doubt]) < max(RINGS * found.before, OF_NOISE * found.noise)
-        if not (rings and found.before > NOTABLE**2 * folds.energy and found.is_sure(mode.doubt)):
+        best = mode.doubt
+        if not (found.is_sure(best) and found.left([best]) < found.before):
             return None
-        return self._cause(mode.doubt, [mode.doubt], None, found)
+        return self._cause(best, [best], None, found)
+
+    def _rings(self, mode: Cause) -> bool:
+        """Whether a mode explains what is left roughly."""
+        most = max(RINGS * mode.before**2, OF_NOISE * self.causes.noise / self.causes.folds.energy)
+        return mode.before > NOTABLE and mode.left**2 < most
 
     def _moved(self, after: Mapping[str, float], before: Mapping[str, float]) -> dict[str, float]:
         """Shares by which parameters change, each in the stage that finds it."""
@@ -374,6 +407,8 @@ def finding_of(
     cause: Cause, model: Model, records: Sequence[Record], against: Equated = EQUATION
 ) -> Finding:
     """The finding that a cause makes, seen in records of a model."""
+    if cause.admitted:
+        return _of_part(cause)
     names = cause.doubt.signals or tuple(n for one in cause.same for n in one.signals)
     if cause.doubt.memories:
         names = tuple(state.velocity for state in cause.doubt.memories)
@@ -418,7 +453,24 @@ def described(doubt: Doubt) -> str:
     """A doubt, in a few words."""
     if doubt.term is not None:
         return f"{doubt.meaning} ({doubt.name})"
+    if doubt.mode is not None:
+        return f"a mode on {doubt.mode.on} near {doubt.mode.hertz:.3g} Hz"
+    if doubt.kind == "clock":
+        return f"a delay of {joined(doubt.signals)} that changes"
     return f"a {doubt.name}"
+
+
+def _of_part(cause: Cause) -> Finding:
+    """What is left without a cause, and what explains a part of it."""
+    listed = joined([described(one) for one in cause.admitted])
+    most = max(cause.moved, key=lambda name: abs(cause.moved[name]))
+    message = (
+        f"the model leaves {in_percent(cause.before)} of the target beyond noise, and nothing that "
+        f"was weighed explains it alone. With {listed} let in, {in_percent(cause.left)} is left, "
+        f"and {most} changes by up to {in_percent(cause.moved[most], '+.2g')}."
+    )
+    doubts = {name: abs(share) for name, share in cause.moved.items()}
+    return Finding("unexplained", message, parameters=tuple(doubts), doubts=doubts)
 
 
 def _of_delay(signals: Sequence[str], delay: Settled, says: str) -> _Said:

@@ -23,9 +23,10 @@ from riecjax.equations.hidden_elements import HiddenMode, accelerated
 from riecjax.records.record import Record
 
 FREQUENCIES = 14
-"""From half of the frequency that the longest windows are a period of, to that of the shortest,
-over which what is faster averages out, or half of what samples tell; evenly on a logarithmic scale.
-"""
+"""From half of the frequency that the longest windows are a period of, to that which the shortest
+first let nothing through of, or half of what samples tell; evenly on a logarithmic scale."""
+PASSES = 0.05
+"""Share of a slow motion's gain that is as good as nothing."""
 DAMPING = (0.02, 0.1, 0.4)
 """Damping ratios that are tried first."""
 CLOSER = 6
@@ -98,7 +99,10 @@ def _on_body(
     windows, step = asked.criterion.windows, float(records[0].time_step)
     assert windows is not None
     slowest = 0.5 / float(windows.beta)
-    fastest = max(min(1 / float(windows.alpha), 0.25 / step), 2 * slowest)
+    tried = np.arange(slowest, 0.25 / step, 0.5 * slowest)
+    gains = asked.criterion.test_function.gain(tried, np.array([float(windows.alpha)]))[:, 0]
+    passed = np.minimum.accumulate(gains) > PASSES * gains[:1]
+    fastest = max(tried[passed][-1] if passed.any() else 0.0, 2 * slowest)
     grid = np.geomspace(slowest, fastest, FREQUENCIES)
     best = best_of(*np.array([(hertz, damping) for hertz in grid for damping in DAMPING]).T)
     apart = np.log([grid[1] / grid[0], DAMPING[1] / DAMPING[0]])

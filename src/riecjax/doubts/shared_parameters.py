@@ -1,0 +1,105 @@
+"""Whether later equations refute what earlier ones found of the parameters that they share.
+
+A model whose equations are solved in stages takes a parameter from the first stage that has it. An
+error of that stage shows nothing by itself: a sensor that is off may be made up for by wrong
+values. Later equations that hold these parameters too tell: the parameter's own regressor there is
+a column beside those of the later stage, whose coefficient is by how much the two disagree. Solved
+together, the equations find values that all of them agree with best; what leaves least of all
+equations, as shares of their targets, is the answer to trust.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from riecjax.doubts.causes import FEWEST, LEVEL
+from riecjax.doubts.columns import Asked, folds_of
+from riecjax.equations.model import Model
+from riecjax.errors import DataError, IdentifiabilityError
+from riecjax.estimation.estimate import Estimate
+from riecjax.findings import Finding, in_percent, joined
+from riecjax.folds import Folds
+from riecjax.records.record import Record
+
+
+def refuted(
+    model: Model,
+    records: Sequence[Record],
+    estimate: Estimate,
+    together: Callable[[], Estimate],
+) -> list[Finding]:
+    """`stages_disagree`, of stages that refute shared parameters (not under jit).
+
+    **Arguments:** `together` estimates with all equations in one stage.
+    """
+    asked, earlier = Asked.of(model, estimate), set[str]()
+    against: dict[str, set[str]] = {}
+    for number, stage in enumerate(model.stages):
+        own = {name for equation in stage for name in equation.parameters}
+        for name in _refuted_by(asked, records, number, own & earlier - {*estimate.known}):
+            against.setdefault(joined(model.equation_names[number]), set()).add(name)
+        earlier |= own
+    if not against:
+        return []
+    shared = sorted(set().union(*against.values()))
+    says = "; ".join(f"{name} refutes {joined(sorted(names))}" for name, names in against.items())
+    try:
+        other = together()
+    except (DataError, IdentifiabilityError) as error:
+        message = f"{says} as earlier equations found them, and together they find none: {error}"
+        return [Finding("stages_disagree", message, parameters=tuple(shared), doubt=1.0)]
+    doubts = {
+        name: abs(float(other[name]) / float(estimate[name]) - 1)
+        for name in estimate.parameters
+        if float(estimate[name])
+    }
+    most = max(doubts, key=lambda name: doubts[name])
+    left, of_other = (_left_by(one) for one in (estimate, other))
+    better = sum(of_other.values()) < sum(left.values())
+    listed = joined(
+        [f"{in_percent(of_other[n])} of {n} instead of {in_percent(left[n])}" for n in left]
+    )
+    trusted = "that is to be trusted" if better else "the first stage is nearer to the truth"
+    message = (
+        f"{says} as earlier equations found them. Solved together, the equations leave {listed}, "
+        f"so that {trusted}; {most} is then {float(other[most]):.4g} instead of "
+        f"{float(estimate[most]):.4g}."
+    )
+    return [
+        Finding(
+            "stages_disagree",
+            message,
+            parameters=tuple(doubts),
+            doubts=doubts,
+            remedy=("--together",) if better else (),
+            step="Solve the equations of all stages together" if better else "",
+        )
+    ]
+
+
+def _left_by(estimate: Estimate) -> dict[str, float]:
+    """What each equation leaves, over its target."""
+    return {name: float(fit.relative_rms) for name, fit in estimate.equations.items()}
+
+
+def _refuted_by(
+    asked: Asked, records: Sequence[Record], number: int, shared: set[str]
+) -> list[str]:
+    """Parameters of earlier stages that the equations of a stage refute, each by itself."""
+    if not shared:
+        return []
+    stage = asked.model.stages[number]
+    names = [f"{number}.{name}" for equation in stage for name in equation.parameters]
+    folds = folds_of(asked._replace(base=names, stages=[number]), records, [], "plain")
+    if folds.number < FEWEST:
+        return []
+    # The target, less what shared parameters make of it.
+    mix = np.eye(1 + len(folds.parameters))
+    columns = [f"{number}.{name}" for name in sorted(shared)]
+    mix[0, folds.columns(columns)] = [-asked.values[name] for name in sorted(shared)]
+    parts: Any = (mix @ of @ mix.T for of in (folds.samples, folds.motion))
+    less = Folds(*parts, folds.parameters)
+    own = [name for name in folds.parameters if name not in columns]
+    told = zip(sorted(shared), less.beside(own, columns))
+    return [name for name, one in told if one.chance * len(columns) < LEVEL]
