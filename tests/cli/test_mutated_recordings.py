@@ -67,7 +67,7 @@ def test_the_verdicts():
     assert judged(0, bad, "") == ("WRONG", "k = 22 +- 0.01, not 20")
     assert judged(0, document({**TRUTH, "k": 22.0}, "clipped"), "")[0] == "warned"
     assert judged(0, good, "Traceback")[0] == "WRONG"
-    refusal = json.dumps({"schema": 3, "error": {"code": "data", "message": "a.csv: no."}})
+    refusal = json.dumps({"schema": 4, "error": {"code": "data", "message": "a.csv: no."}})
     assert judged(1, refusal, "riecjax: a.csv: no.\n")[0] == "refused"
     for status, said in ((1, "a.csv: no.\nmore"), (1, "b.csv: no."), (2, "a.csv: no.")):
         assert judged(status, refusal, f"riecjax: {said}\n")[0] == "WRONG"

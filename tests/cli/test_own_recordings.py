@@ -61,7 +61,6 @@ def test_recordings_of_two_sampling_rates_lose_only_the_tests_of_the_residual(ca
     document = identified(capsys, "fast.csv", "slow.csv", "--no-sweep", "--out", "r")
     assert values(document)["k"] == pytest.approx(80.0, rel=1e-4)
     assert document["residual_tests"] is None
-    assert document["window_choice"] is None
     assert Path("r/report.html").exists()
 
 

@@ -21,10 +21,8 @@ from riecjax.reporting.result_figures import (
     identification_figures,
     identified_curves,
     residual_figure,
-    window_choice_figure,
 )
 from riecjax.simulation.inputs import band_limited_noise
-from riecjax.validation.choice import window_choice
 from riecjax.validation.residuals import ResidualTests, residual_tests
 
 MASS = rx.Term("m", "a", unit="kg")
@@ -175,32 +173,30 @@ def recording() -> tuple[rx.Equation, rx.Record]:
 
 
 @pytest.fixture(scope="module")
-def figures():
+def left():
+    """What the spring leaves, and its figure."""
     model, record = recording()
     tests = residual_tests(model, record, {"k": 4.0}, windows=rx.AllWindows(0.05, 0.5))
-    choice = window_choice(model, record, {"k": 4.0}, windows=rx.AllWindows(0.05, 0.5))
-    drawn = {"residual_1": residual_figure(tests["spring"])}
-    return tests, choice, {**drawn, "window_choice": window_choice_figure(choice)}
+    return tests["spring"], residual_figure(tests["spring"])
 
 
-def test_every_axis_is_labelled_with_its_unit_and_inside_the_figure(figures):
-    _, _, charts = figures
-    for chart in charts.values():
-        for panel in chart.panels:
-            assert panel.x.label
-            assert panel.y.label
-        assert_whole_in_print(chart)
-    labels = {panel.y.label for panel in charts["residual_1"].panels}
+def test_every_axis_is_labelled_with_its_unit_and_inside_the_figure(left):
+    _, chart = left
+    for panel in chart.panels:
+        assert panel.x.label
+        assert panel.y.label
+    assert_whole_in_print(chart)
+    labels = {panel.y.label for panel in chart.panels}
     assert {"impulse of the error / (N s)", "power density / (N²/Hz)"} <= labels
 
 
-def test_lines_hold_the_series_and_break_at_a_gap(figures):
-    tests, _, drawn = figures
-    impulse = np.asarray(tests["spring"].error.impulse)
-    lines = [mark for panel in drawn["residual_1"].panels for mark in panel.marks]
+def test_lines_hold_the_series_and_break_at_a_gap(left):
+    residual, chart = left
+    impulse = np.asarray(residual.error.impulse)
+    lines = [mark for panel in chart.panels for mark in panel.marks]
     series = [np.asarray(mark.y) for mark in lines if isinstance(mark, Line)]
     (found,) = (values for values in series if values.size == impulse.size)
-    gone = ~np.asarray(tests["spring"].error.present)
+    gone = ~np.asarray(residual.error.present)
     np.testing.assert_array_equal(np.isnan(found), gone)
     assert gone.sum() == 2
     np.testing.assert_allclose(found[~gone], impulse[~gone])

@@ -69,7 +69,6 @@ def test_a_page_says_what_its_document_holds(document):
     assert ("Refinement" in sections) is refined
     assert ("identified" in values.header) is (refined and refinement["chosen"])
     assert ("refined" in values.header) is (refined and not refinement["chosen"])
-    assert ("Choice of windows" in sections) is (document["window_choice"] is not None)
     runs = len(document["validation"])
     validation = sections.get("Validation by simulation")
     assert len(validation.charts if validation else ()) == runs

@@ -217,8 +217,8 @@ def test_results_of_the_command_line_are_read(assessed, tmp_path):
     document = json.loads(file.read_text())
     for wrong, words in (
         ({**document, "schema": 99}, "schema 99"),
-        ({"schema": 3, "tables": {}}, "lacks"),
-        ({"schema": 3, "error": {"code": "data", "message": "too short"}}, "too short"),
+        ({"schema": 4, "tables": {}}, "lacks"),
+        ({"schema": 4, "error": {"code": "data", "message": "too short"}}, "too short"),
         ([1], "no results.json"),
     ):
         file.write_text(json.dumps(wrong))

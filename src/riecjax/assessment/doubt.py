@@ -101,8 +101,8 @@ class Evidence:
         """The test of this name, `None` where it was not asked for or could not be made.
 
         `modes`: evidence of each stage's last hidden mode; `window_sweep`: estimates against window
-        length; `residual_tests` of what equations leave; `window_choice`: which windows suit;
-        `refinement`; `validation`: simulations with the answer; and the names of your own.
+        length; `residual_tests` of what equations leave; `refinement`; `validation`: simulations
+        with the answer; and the names of your own.
         """
         return next((test for test in self.tests if test.name == name), None)
 

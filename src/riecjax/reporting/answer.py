@@ -216,27 +216,6 @@ class ResidualTest(Part):
     windows: WindowErrors | None = None
 
 
-class ErrorShares(Part):
-    """An equation's error beside its signal, in windows of every length."""
-
-    error_share: list[Number]
-    current_error_share: Number
-    least_error_share: Number
-    best_length_s: Number
-
-
-class WindowChoicePart(Part):
-    """Windows in use, and those recommended."""
-
-    alpha_s: Number
-    beta_s: Number
-    seen_best_hz: Ends
-    recommended_s: Ends
-    reason: str
-    length_s: list[Number]
-    equations: dict[str, ErrorShares]
-
-
 class WindowSweepPart(Part):
     """Estimates from windows of one length after another."""
 
@@ -430,7 +409,6 @@ class Answer(Tabled, Part, kw_only=True):
     noise: dict[str, NoisePart] = {}
     correlation: Correlation = msgspec.field(default_factory=Correlation)
     residual_tests: dict[str, ResidualTest] | None = None
-    window_choice: WindowChoicePart | None = None
     window_sweep: WindowSweepPart | None = None
     refinement: RefinementPart | None = None
     validation: list[HeldOutPart] = []

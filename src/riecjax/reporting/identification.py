@@ -227,15 +227,6 @@ def intervals_in_words(intervals: parts.IntervalsPart) -> str:
     )
 
 
-def _window_choice_in_words(choice: parts.WindowChoicePart) -> Iterator[str]:
-    """What windows see, and which would serve best."""
-    low, high = choice.seen_best_hz
-    yield (
-        f"windows of {choice.alpha_s:.3g} to {choice.beta_s:.3g} s: half periods of "
-        f"{high:.3g} to {low:.3g} Hz. {choice.reason}"
-    )
-
-
 def noise_in_words(noise: Mapping[str, parts.NoisePart]) -> Iterator[str]:
     """One line on all signals that have some, if any is known."""
     shares = {name: entry.share or 0.0 for name, entry in noise.items()}
@@ -264,7 +255,6 @@ WORDS: dict[str, Callable[[Any], Iterable[str]]] = {
         *(search_in_words(part) if part.chosen else ()),
     ],
     "provenance": lambda part: [intervals_in_words(part.intervals)] if part.intervals else [],
-    "window_choice": _window_choice_in_words,
     "noise": noise_in_words,
     "validation": lambda runs: [f"validated on {run.on}: {run.verdict}" for run in runs],
     "tests": lambda tests: [

@@ -42,8 +42,8 @@ from riecjax.reporting.charts.chart import (
     single,
 )
 from riecjax.shows import chart_of
-from riecjax.validation import HeldOut, ResidualTests, WindowChoice, WindowSweep
-from riecjax.validation.residuals import Correlation, EquationResidual, ErrorSpectrum
+from riecjax.validation import HeldOut, ResidualTests, WindowSweep
+from riecjax.validation.residuals import Correlation, EquationResidual
 
 if TYPE_CHECKING:
     from riecjax.equations.equation import Equation
@@ -415,67 +415,26 @@ def _following(follows: tuple[Correlation, ...]) -> Panel | None:
 
 def _spectra(residual: EquationResidual) -> Panel:
     spectrum, peak = residual.spectrum, residual.peak
-    (target, error), axes = _target_and_error(spectrum, residual.error.unit)
-    explained = Line(target.x, _positive(spectrum.explained), "explained", BLUE, "dashed")
-    ends = Level(spectrum.band, "x", "the signals' power ends", BLACK, "dotted")
-    marks: list[Line | Span | Level] = [ends, target, explained, error]
+    frequency, unit = spectrum.frequency[1:], residual.error.unit
+    marks: list[Line | Span | Level] = [
+        Level(spectrum.band, "x", "the signals' power ends", BLACK, "dotted"),
+        Line(frequency, _positive(spectrum.target), "target", GREY, width=BOLD),
+        Line(frequency, _positive(spectrum.explained), "explained", BLUE, "dashed"),
+        Line(frequency, _positive(spectrum.error), "error", RUST),
+    ]
     if peak is not None:
         share = in_percent(peak.share, ".0f")
         label = f"peak near {peak.frequency:.3g} Hz: {share} of the power in it"
         marks.insert(0, Span(peak.low, peak.high, label=label, color=RUST, opacity=FAINT))
-    return Panel(marks, *axes, columns=2)
-
-
-def _target_and_error(
-    spectrum: ErrorSpectrum, unit: str
-) -> tuple[tuple[Line, Line], tuple[Axis, Axis]]:
-    """Their power densities, and axes of frequency and of these, of a quantity in this unit."""
-    frequency = spectrum.frequency[1:]
-    target = Line(frequency, _positive(spectrum.target), "target", GREY, width=BOLD)
-    error = Line(frequency, _positive(spectrum.error), "error", RUST)
     largest = max(np.max(spectrum.target[1:]), np.max(spectrum.error[1:]))
     least = max(np.min(spectrum.error[1:]), LEAST_SHOWN * largest)
     across = Axis("frequency / Hz", log=True, low=frequency[0], high=frequency[-1])
     low = 0.5 * float(least) if least > 0 else None
     square = f"{unit}²" if unit.isalnum() else f"({unit})²" if unit else "1"
     density = Axis(f"power density / ({square}/Hz)", log=True, low=low)
-    return (target, error), (across, density)
+    return Panel(marks, across, density, columns=2)
 
 
 def _positive(density: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:
     """Densities for a logarithmic axis: without the mean, and with gaps where there is none."""
     return np.where(density[1:] > 0, density[1:], np.nan)
-
-
-@chart_of.register
-def window_choice_figure(choice: WindowChoice) -> Chart:
-    """A row of panels for each equation."""
-    rows = []
-    low, high = choice.recommended
-    in_use = f"in use, {choice.alpha:.3g} to {choice.beta:.3g} s"
-    better = f"recommended, {low:.2g} to {high:.2g} s"
-    length = Axis("window length / s", log=True, low=choice.length[0], high=choice.length[-1])
-    for equation in choice.equations:
-        # Spectra, and over them what the current windows let into an integral.
-        lines, axes = _target_and_error(equation.spectrum, equation.unit)
-        largest = np.max(equation.spectrum.target[1:]) / np.max(equation.mean_gain)
-        gain = _positive(largest * equation.mean_gain)
-        shown = Line(lines[0].x, gain, "expected gain (scaled)", BLUE, "dashed")
-        spectra = Panel([*lines, shown], *axes, title=equation.name)
-        # The error's share at every window length, with the lengths in use and the better ones.
-        share = np.where(equation.error_share > 0, 100 * equation.error_share, np.nan)
-        marks = [
-            Span(low, high, label=better, color=BLUE, opacity=FAINT),
-            Level(choice.alpha, "x", in_use, BLACK, "dashed"),
-            Level(choice.beta, "x", color=BLACK, dashes="dashed"),
-            Line(choice.length, share, color=RUST, width=BOLD),
-        ]
-        error = Axis("error / % of the signal", log=True)
-        shares = Panel(marks, length, error, title=equation.name)
-        rows.append((spectra, shares))
-    caption = (
-        "Left: spectra of each equation's target and error, and what the windows in use let in of "
-        "them. Right: the error against the signal in windows of every length, with the lengths in "
-        "use and those under which no equation is far above its least."
-    )
-    return Chart(rows, caption)

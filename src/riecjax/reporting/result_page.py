@@ -91,7 +91,7 @@ def _parameters(answer: Answer) -> Section:
     lines = [
         *([choice_in_words(answer.refinement)] if answer.refinement else []),
         by,
-        *words_of(answer, "provenance", "window_choice", "noise"),
+        *words_of(answer, "provenance", "noise"),
     ]
     tables = [
         parameter_table(answer, interval=_between),
@@ -226,16 +226,6 @@ def _residual_in_words(name: str, test: parts.ResidualTest) -> str:
     return f"{'; '.join(words)}."
 
 
-def _choice(choice: parts.WindowChoicePart) -> list[Section]:
-    cells = {
-        "error in the windows in use / %": lambda shares: _percent(shares.current_error_share),
-        "least error / %": lambda shares: _percent(shares.least_error_share),
-        "at length / s": lambda shares: number(shares.best_length_s, 3),
-    }
-    table = Table.of("equation", choice.equations.items(), cells)
-    return [Section("Choice of windows", [choice.reason], [table], ("window_choice",))]
-
-
 SECTIONS: dict[str, Callable[[Any], list[Section]]] = {
     "refinement": _refinement,
     "residual": _fit,
@@ -245,7 +235,6 @@ SECTIONS: dict[str, Callable[[Any], list[Section]]] = {
     "validation": _validation,
     "residual_tests": _residuals,
     "window_sweep": lambda _: [Section("Estimates by window length", charts=("window_sweep",))],
-    "window_choice": _choice,
 }
 """What the page shows of parts of an answer, in this order."""
 

@@ -1,4 +1,4 @@
-"""How well a simulated model predicts, what its equations leave, and which windows suit it."""
+"""How well a simulated model predicts, what its equations leave, and how windows move values."""
 
 from riecjax.public_names import attach
 

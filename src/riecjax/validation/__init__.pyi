@@ -1,5 +1,3 @@
-from .choice import WindowChoice as WindowChoice
-from .choice import window_choice as window_choice
 from .equation_errors import EquationError as EquationError
 from .equation_errors import equation_error as equation_error
 from .held_out import HeldOut as HeldOut

@@ -19,8 +19,8 @@ from riecjax.records.record import Record
 class Test(Protocol):
     """What was looked at of an answer: findings for its verdict, and numbers for its document.
 
-    Built in are what equations leave, windows of other lengths, which windows suit, evidence of
-    hidden modes, refinement and held-out simulation. One of your own is made by a function that
+    Built in are what equations leave, windows of other lengths, evidence of hidden modes,
+    refinement and held-out simulation. One of your own is made by a function that
     is among the `tests` of [`assess`][riecjax.assess]; if it has a `view()` or a `chart()`, that is
     shown of it.
     """
@@ -39,7 +39,7 @@ class Test(Protocol):
         ...
 
 
-BUILT_IN = ["modes", "window_sweep", "residual_tests", "window_choice", "refinement", "validation"]
+BUILT_IN = ["modes", "window_sweep", "residual_tests", "refinement", "validation"]
 """Names of the tests that come with an assessment."""
 FIGURES = ["fit", "curves", "correlation", "mode_map"]
 """Names of figures beside those of tests."""
@@ -60,13 +60,12 @@ def residuals_tested(
     estimate: Estimate,
     faults_of: Callable[..., list[Finding]],
 ) -> Tested:
-    """Tests of what equations leave, and the windows that it suggests.
+    """Tests of what equations leave.
 
     **Arguments:** `faults_of` a model, records, errors of each equation on each, and an estimate,
     which finds what explains most of what is left.
     """
     # Not earlier: who only checks recordings waits for none of these.
-    from riecjax.validation.choice import window_choice
     from riecjax.validation.equation_errors import errors_over_records
     from riecjax.validation.residuals import residual_tests
 
@@ -74,12 +73,10 @@ def residuals_tested(
     try:
         errors = errors_over_records(model, records, estimate.values)
         faults = faults_of(model, records, errors, estimate)
-        tests: list[Test] = [residual_tests(model, records, estimate, errors=errors, faults=faults)]
-        if estimate.criterion.windows is not None:
-            tests.append(window_choice(model, records, estimate, errors=errors))
+        test = residual_tests(model, records, estimate, errors=errors, faults=faults)
     except RiecjaxError as error:
         return Tested([], [Finding("residuals_not_tested", str(error))])
-    return Tested(tests, [])
+    return Tested([test], [])
 
 
 def own_tests(
