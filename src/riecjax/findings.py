@@ -41,6 +41,7 @@ class FindingClass(NamedTuple):
     - `blames_model`: what equations of these parameters leave is the model's doing.
     - `widens`: scatter of the parameters that it names is no chance; `short`: the record is short;
       `collinear`: little or nothing tells parameters apart.
+    - `assumed`: nothing recorded shows it, and nothing rules it out.
     - `of_size`: of the size of errors, which a part that all of them share may make.
     - `undo`: its remedy takes the fault off a record, to say how far parameters move; `holds`: the
       signal holds its value for a while, and `feigned`: what such a signal seems to have as well.
@@ -59,6 +60,7 @@ class FindingClass(NamedTuple):
     widens: bool = False
     short: bool = False
     collinear: bool = False
+    assumed: bool = False
     of_size: bool = False
     undo: bool = False
     holds: bool = False
@@ -101,6 +103,12 @@ class Finding(NamedTuple):
         """What its code means."""
         return class_of(self.code)
 
+    @property
+    def importance(self) -> int:
+        """The place of its code among `CODES`, behind all of them if it is not registered."""
+        codes = [*CODES]
+        return codes.index(self.code) if self.code in CODES else len(codes)
+
 
 def class_of(code: str) -> FindingClass:
     """What a code means. One that is not registered is said in its own words, and counts as what is
@@ -114,6 +122,7 @@ def option_for(option: str, signals: Iterable[str], value: str) -> tuple[str, ..
 
 
 LONGER = "Record for longer, or excite the machine all along"
+RICHER = "Excite the machine more richly, or hold a parameter (--set NAME=VALUE)"
 _undetermined, _sensors, _model, _noise, _data, _computation, _reproduction = (
     functools.partial(FindingClass, kind) for kind in get_args(Kind)
 )
@@ -166,12 +175,18 @@ CODES: dict[str, FindingClass] = {
     "outliers": _sensors("{signals} has outliers"),
     "hum": _sensors("the mains hum in {signals}"),
     "missing_samples": _sensors("samples of {signals} are missing"),
+    "sampled_input": _sensors(
+        "{signals} changes between its samples",
+        assumed=True,
+        step="Sample {signals} faster, or behind a filter that keeps the impulse",
+    ),
     "quantised": _sensors("{signals} is coarsely quantised"),
     "column_left_out": _sensors("a column of {signals} is left out"),
     "part_left_out": _sensors("a part of a file is left out"),
     "nothing_cut": _sensors("a cut removes nothing"),
     "file_changed": _sensors("a file is not the one that was read before"),
     "rows_left_out": _sensors("windows that touch a missing sample are left out"),
+    "stages_disagree": _model("later equations refute {parameters}"),
     "missing_term": _model("the model lacks a term", blames_model=True),
     "unmodelled_mode": _model("the model leaves out a mode", blames_model=True),
     "unexplained": _model("the model leaves more than noise", blames_model=True),
@@ -191,8 +206,8 @@ CODES: dict[str, FindingClass] = {
         step="Compare simulations, which need no derivative",
         options=("--refine", "output-error"),
     ),
-    "nearly_collinear": _data("little tells {parameters} apart", collinear=True),
-    "ill_conditioned": _data("little tells some parameters apart", collinear=True),
+    "nearly_collinear": _data("little tells {parameters} apart", collinear=True, step=RICHER),
+    "ill_conditioned": _data("little tells some parameters apart", collinear=True, step=RICHER),
     "few_blocks": _data(
         "few stretches of the record tell of {parameters}", short=True, step=LONGER
     ),

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from jaxtyping import Array, Key
 
+from riecjax.assessment.advice import Asked, Step, tried
 from riecjax.assessment.doubt import Evidence, causes_found, with_doubts
 from riecjax.assessment.refining import (
     Problem,
@@ -72,10 +73,12 @@ BYTES_PER_ROW = 320.0
 class Assessment(Evidence, Drawn):
     """An estimate, and how far to trust it; made by [`assess`][].
 
-    **Fields:** those of [`Evidence`][riecjax.assessment.doubt.Evidence], and `key` of the windows.
+    **Fields:** those of [`Evidence`][riecjax.assessment.doubt.Evidence], `key` of the windows, and
+    steps of advice that were `followed` to get here.
     """
 
     key: Key[Array, ""] | None = None
+    followed: tuple[Step, ...] = ()
 
     @property
     def refinement(self) -> Refinement | None:
@@ -125,6 +128,7 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
       model, the records and the answer; what one raises is a finding.
     - `on_estimate`: called with the estimate before all that is slow, unless refinement answers.
     - `progress`: called with the sum of squares after each step of a refinement that was asked for.
+    - `follow`: steps of advice to carry out, one after the other, as long as one helps.
 
     **Returns:** an [`Assessment`][].
 
@@ -132,8 +136,36 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
     `IdentifiabilityError` for what [`Check.answerable`][] denies. What cannot be tested or
     simulated raises nothing: it is a finding.
     """
-    model = with_rests(as_model(model), settings.at_rest)
-    recordings = ready(model, recordings, settings.noise)
+    asked = Asked(as_model(model), ready(model, recordings, settings.noise), settings)
+    assessment, steps = _assessed(asked), []
+    for number in range(settings.follow + 1):
+        trial = functools.partial(_trial, asked)
+        helping = [*tried(assessment, trial)]
+        assessment = replace(
+            assessment, tried={step.options: step for step, _ in helping}, followed=(*steps,)
+        )
+        if number == settings.follow or not helping:
+            break
+        step, _ = helping[0]
+        asked = asked.with_options(step.options)
+        steps.append(step)
+        assessment = _assessed(asked)
+    return assessment
+
+
+def _trial(asked: Asked, options: Sequence[str]) -> Assessment:
+    """An assessment with further options, without what is slow and what tells of no parameter."""
+    quiet: dict[str, Any] = {"validate_on": (), "tests": (), "on_estimate": None}
+    asked = asked.with_options(options)
+    asks_refinement = "--refine" in options
+    refine = asked.settings.refine if asks_refinement else "none"
+    return _assessed(asked._replace(settings=replace(asked.settings, refine=refine, **quiet)))
+
+
+def _assessed(asked: Asked) -> Assessment:
+    """The assessment of what is asked, as it is."""
+    model, recordings, settings = asked
+    model = with_rests(model, settings.at_rest)
     criterion = criterion_for(settings, model, [each.record for each in recordings])
 
     def concerning(some: Sequence[Recording]) -> list[Recording]:
@@ -196,7 +228,7 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
         if refined is None:
             of_sums.raise_if_refused()
         residuals = residuals_tested(
-            model, records, estimate, functools.partial(causes_found, checked)
+            model, records, estimate, functools.partial(causes_found, checked, again)
         )
         failures += at_rest_findings(
             model, records, estimate, lambda other: again(records, other, intervals)

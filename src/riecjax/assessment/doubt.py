@@ -1,35 +1,25 @@
-"""How far each parameter may be off: its scatter, and beside it what is known to be wrong.
+"""How far each parameter may be off: its scatter, and beside it what may be wrong.
 
 An interval from one record describes scatter about the value that a criterion converges to. A
-model that leaves something out has it converge beside the truth, which no resampling shows. Four
-things that an assessment measures do show it, and here become sizes in the parameter's own unit:
+model that leaves something out, or a sensor that is off, has it converge beside the truth, which no
+resampling shows. What may be wrong is a column of the equations (`riecjax.doubts`), and what
+letting it in does to a parameter is how far the parameter may be off by it:
 
-**Drift.** With an exact model windows of every length find the same value. How far estimates at
-other lengths lie from the answer, beyond the scatter of the difference, is by how much the answer
-is a matter of choice.
+- **Demanded**: the recordings show it, as a fault of a sensor that is undone and all estimated once
+  more; a term, a mode or a delay that explains what the model leaves, or a part of it; stages that
+  refute each other's parameters; values that differ between short and long windows.
+- **Blind**: nothing recorded tests it, as the course of an input between samples.
 
-**What is left.** Let an equation leave the share q of its target, noise of the sensors taken off.
-A fit leaves what is orthogonal to its regressors; that much again, or so, lay along them and went
-into the parameters. A regressor of size s_j (of the target, per unit of parameter j) keeps a share
-w_j of itself that no combination of the others explains, so an error of the size q along it moves
-parameter j by q / (s_j w_j). What a model leaves out points anywhere: `ALONG` is the share of it
-that is taken to lie along one regressor where tests say that it is the model's doing, `UNBLAMED`
-where none does: forces that act on the machine and on no sensor leave as much, and bias little.
-
-**Sensors.** What is found amiss with the recordings may say how far: a velocity that is 1.2 times
-the position's derivative puts what reads either of them in doubt by a fifth.
-
-How far a fault moves a parameter, the recordings say themselves: it is taken off, and all is
-estimated once more.
+Each is a finding that says by what share of its value each parameter moves. Of findings of one code
+the shares add up. Of several codes the largest counts: whatever is wrong makes all that correlates
+with it look wrong as well.
 
 **Resolution.** No criterion integrates samples, and no sensor is calibrated, better than `FINEST`.
-
-A fault of a sensor is undone and all is estimated once more; what equations demand, a fault of a
-sensor or a term that the model lacks, says by itself what it moves.
 """
 
 import contextlib
 import dataclasses
+import functools
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -55,21 +45,12 @@ from riecjax.validation.residuals import window_errors
 from riecjax.validation.tests import BUILT_IN, Test
 
 if TYPE_CHECKING:
+    from riecjax.assessment.advice import Step
     from riecjax.validation.residuals import EquationResidual
 LEVEL = 0.98
 """Level of the interval that a doubt starts from: one relies on it, so it is to hold more often."""
-ALONG = 1.0
-"""Share of what an equation leaves that is taken to lie along one regressor."""
-UNBLAMED = 0.1
-"""The same where no test says whose doing it is: the model's, or that of forces nobody recorded."""
-STEADIER = 10.0
-"""Times its drift and scatter by which what is left may move a value at most. What lies along a
-regressor weighs differently at every window length, so a value that no length moves is not far
-off; 10 holds of nearly all simulated systems (`python -m benchmarks.calibration verdicts`)."""
 TRUSTED = 0.1
 """Share of a value up to which a doubt leaves it good."""
-MOST_LEFT = 0.99
-"""Share of a target past which no more is told of what an equation leaves."""
 FINEST = 1e-3
 """Share of a value below which nothing is claimed."""
 
@@ -87,6 +68,7 @@ class Evidence:
     - `estimate`.
     - `tests` that were asked for and could be made; `test` finds one by its name.
     - `failures`: findings on what could not be tested or simulated.
+    - `tried`: options to steps that were tried and help; `None` where none was tried.
     """
 
     model: Model
@@ -96,6 +78,11 @@ class Evidence:
     estimate: Estimate
     tests: tuple[Test, ...] = ()
     failures: Sequence[Finding] = ()
+    tried: "Mapping[tuple[str, ...], Step] | None" = None
+
+    def tried_step(self, step: "Step") -> "Step | None":
+        """A step as it was tried; `None` of one that does not help."""
+        return step if not step.options or self.tried is None else self.tried.get(step.options)
 
     def test(self, name: str) -> Any:
         """The test of this name, `None` where it was not asked for or could not be made.
@@ -138,6 +125,13 @@ class Evidence:
             *(finding for test in self.tests for finding in test.findings()),
         ]
 
+    def concerns_answer(self, finding: Finding) -> bool:
+        """Whether it is about the answer: what windows leave is not about values that were refined
+        until white noise was left."""
+        refinement = self.test("refinement")
+        left = refinement.whiteness if refinement is not None and refinement.chosen else None
+        return finding.about.kind != "model" or left is None or not left.white
+
     def parameters_of(self, finding: Finding) -> set[str]:
         """Parameters that a finding concerns: those it names, or of equations that read its
         signals."""
@@ -154,17 +148,16 @@ class Evidence:
 class Doubt(NamedTuple):
     """How far the `value` of one parameter may be off, in its unit.
 
-    **Fields:** `low`, `high`: reach below and above the value by scatter; `drift` over window
-    lengths; `left_out`, by what the model leaves; `sensors`, by what is amiss with the recordings;
-    `finest`, what is never claimed.
+    **Fields:** `low`, `high`: reach below and above the value by scatter; `wrong`, by what may be
+    wrong, of the `finding` that says most of it, `None` where nothing is; `finest`, what is never
+    claimed.
     """
 
     value: float
     low: float
     high: float
-    drift: float = 0.0
-    left_out: float = 0.0
-    sensors: float = 0.0
+    wrong: float = 0.0
+    finding: Finding | None = None
     finest: float = 0.0
 
     @property
@@ -173,118 +166,64 @@ class Doubt(NamedTuple):
         return max(self.low, self.high)
 
     @property
-    def known_wrong(self) -> float:
-        """What is known to be wrong beside scatter."""
-        return self.drift + self.left_out + self.sensors
-
-    @property
     def size(self) -> float:
         """The larger reach of all of it."""
-        return self.scatter + self.known_wrong + self.finest
+        return self.scatter + self.wrong + self.finest
 
-    def share(self, part: float) -> float:
-        """A part of it over the value."""
-        return part / size_of(self.value)
+    @property
+    def share(self) -> float:
+        """Its size over the value."""
+        return self.size / size_of(self.value)
 
-    def by_kind(self, kind: str) -> float:
-        """What of it a kind of cause makes, over the value."""
-        parts = {"model": self.drift + self.left_out, "sensors": self.sensors}
-        return self.share(parts.get(kind, self.scatter))
+    @property
+    def scatter_share(self) -> float:
+        """Scatter over the value."""
+        return self.scatter / size_of(self.value)
+
+    @property
+    def is_good(self) -> bool:
+        """Whether it leaves the value good."""
+        return self.share <= TRUSTED
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether what recordings show to be wrong is too much for a good value, and more than
+        scatter."""
+        shown = self.finding is not None and not self.finding.about.assumed
+        return shown and self.wrong > max(self.scatter, TRUSTED * abs(self.value))
 
     @property
     def ends(self) -> tuple[float, float]:
         """Of the interval that counts all of it."""
-        more = self.known_wrong + self.finest
+        more = self.wrong + self.finest
         return self.value - self.low - more, self.value + self.high + more
 
 
 def doubts(evidence: Evidence) -> dict[str, Doubt]:
-    """Of each estimated parameter.
-
-    Where output error left white noise the model is as good as the record can tell, and neither
-    drift nor residuals of the linear estimate concern refined values.
-    """
-    answer, refinement = evidence.answer, evidence.test("refinement")
-    residuals, sweep = evidence.test("residual_tests"), evidence.test("window_sweep")
+    """Of each estimated parameter."""
+    answer, found = evidence.answer, {}
     below, above = answer.uncertainty.reach(LEVEL)
     errors = np.asarray(answer.standard_errors)
-    left = refinement.whiteness if refinement is not None and refinement.chosen else None
-    exact = left is not None and left.white
-    # A fault that explains what is left moves these by a known amount.
-    faults = () if residuals is None else residuals.faults
-    known = {name for fault in faults for name in fault.doubts}
-    # How far estimates in windows of other lengths lie from the answer, beyond chance.
-    drift = {}
-    if sweep is not None and not exact:
-        names = {*sweep.parameters} & {*answer.parameters}
-        drift = {name: sweep.away(name, float(answer[name])) for name in names}
-    moves = {} if exact else left_out(evidence)
-    # Of each kind of fault all that findings state, of kinds the worst.
-    amiss: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    # By parameter and code, what findings state in all, and the finding that states most.
+    stated: dict[str, dict[str, list[tuple[float, Finding]]]] = defaultdict(lambda: defaultdict(list))
     for finding in evidence.findings():
-        for name in evidence.parameters_of(finding):
-            share = finding.doubts.get(name, finding.doubt)
-            if share > 0:
-                amiss[name][finding.code] += share * abs(float(answer[name]))
-
-    def stated(name: str, of_model: bool) -> float:
-        """The largest size of a kind of fault of the model, or of the recordings."""
-        sizes = amiss[name].items()
-        return max((s for c, s in sizes if (class_of(c).kind == "model") == of_model), default=0.0)
-
-    by_name = {}
+        if (finding.doubt or finding.doubts) and evidence.concerns_answer(finding):
+            for name in evidence.parameters_of(finding):
+                share = finding.doubts.get(name, finding.doubt)
+                stated[name][finding.code].append((share, finding))
     for name, low, high in zip(answer.parameters, below * errors, above * errors):
-        drifted, moved = (0.0 if name in known else by.get(name, 0.0) for by in (drift, moves))
-        if sweep is not None:
-            moved = min(moved, STEADIER * (drifted + max(float(low), float(high))))
-        by_name[name] = Doubt(
-            value=float(answer[name]),
+        value = float(answer[name])
+        every = stated[name].values()
+        worst = max(every, key=lambda some: sum(share for share, _ in some), default=[])
+        found[name] = Doubt(
+            value=value,
             low=float(low),
             high=float(high),
-            drift=drifted,
-            left_out=moved + stated(name, of_model=True),
-            sensors=stated(name, of_model=False),
-            finest=FINEST * abs(float(answer[name])),
+            wrong=sum(share for share, _ in worst) * abs(value),
+            finding=max(worst, key=lambda one: one[0])[1] if worst else None,
+            finest=FINEST * abs(value),
         )
-    return by_name
-
-
-def left_out(evidence: Evidence) -> Mapping[str, float]:
-    """How far each parameter may be moved by what its equations leave that is not noise."""
-    estimate = evidence.estimate
-    excited = evidence.checked.excitations
-    own = {n: float(share) for e in excited for n, share in zip(e.parameters, e.own_share)}
-    # Equations of which a finding says that what they leave is the model's: one of their own, or
-    # of another test on one of their parameters.
-    residuals = evidence.equation_residuals
-    blamed = {r.name for r in residuals if any(f.about.blames_model for f in r.findings())}
-    others = (test for test in evidence.tests if test.name != "residual_tests")
-    findings = (finding for test in others for finding in test.findings())
-    named = {name for f in findings if f.about.blames_model for name in f.parameters}
-    fits = estimate.equations.items()
-    blamed |= {name for name, fit in fits if named & set(fit.parameters)}
-    # A constant error is orthogonal to motion about a mean, and biases nothing.
-    constant = {residual.name: residual.shared_energy for residual in residuals}
-    moved: dict[str, float] = {}
-    for stage, equations in zip(estimate.stages, estimate.equation_names):
-        left = float(stage.relative_rms)
-        if not left > 0:
-            continue
-        target = float(stage.residual_rms) / left * float(stage.count) ** 0.5
-        # Measured by what the fit explains, it is q / (1 - q): of a target that is mostly left
-        # over, the little that is explained is in doubt altogether.
-        along = 0.0
-        for fit, equation in zip(stage.equations, equations):
-            rms = float(fit.residual_rms) * float(fit.count) ** 0.5
-            rms *= float(fit.model_rms) / size_of(fit.relative_rms)
-            rms *= (1 - constant.get(equation, 0.0)) ** 0.5
-            share = min(rms / size_of(target), MOST_LEFT)
-            along = max(along, (ALONG if equation in blamed else UNBLAMED) * share / (1 - share))
-        for name, size in zip(stage.parameters, stage.relative_size):
-            reach = float(size) * own.get(name, 1.0)
-            if reach > 0:
-                moved[name] = along / reach
-    return moved
+    return found
 
 
 SPOILT = 0.1
@@ -293,6 +232,7 @@ SPOILT = 0.1
 
 def causes_found(
     checked: Check,
+    again: Callable[..., Estimate],
     model: Model,
     records: Sequence[Record],
     errors: Sequence[Sequence[EquationError]],
@@ -304,23 +244,29 @@ def causes_found(
     Of signals that contradict each other, or are not what their sensors saw, an equation blames the
     wrong one: then nothing is looked for.
 
-    **Arguments:** what was `checked` before the fit; `errors` of each equation on each record.
+    **Arguments:** what was `checked` before the fit; `again` estimates other equations of the
+    records in the same way; `errors` of each equation on each record.
     """
     # Not earlier: who only checks recordings waits for none of these.
     from riecjax.discovery.candidate import lacked
-    from riecjax.doubts.equation_faults import demanded, finding_of
+    from riecjax.doubts.equation_faults import can_be_weighed, demanded, finding_of
+    from riecjax.doubts.sampled_inputs import between_samples
+    from riecjax.doubts.shared_parameters import refuted
 
     silent = [*silent_inputs(model.equations, records, errors, estimate.criterion.windows)]
-    if silent:
+    if silent or not can_be_weighed(model, records, estimate):
         return silent
+    assumed = between_samples(model, records, estimate)
     if any(
         (finding.about.disorder or finding.about.holds or finding.about.undo)
         and max(finding.doubts.values(), default=finding.doubt) > SPOILT
         for finding in checked.findings
     ):
-        return []
+        return assumed
     causes = demanded(model, records, estimate, lacked)
-    return [finding_of(cause, model, records) for cause in causes]
+    found = [finding_of(cause, model, records) for cause in causes]
+    together = functools.partial(again, [*records], model.solved_together())
+    return [*assumed, *found, *refuted(model, records, estimate, together)]
 
 
 NOISE_ALONE = 0.8

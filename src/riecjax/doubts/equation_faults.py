@@ -339,6 +339,16 @@ class Weighing:
         return found
 
 
+def can_be_weighed(model: Model, records: Sequence[Record], estimate: Estimate) -> bool:
+    """Whether columns tell: not of hidden elements, parameters of each recording, windows drawn at
+    random, and records too short for blocks to scatter."""
+    own = any(estimate.table[name].recording is not None for name in estimate.parameters)
+    if model.has_hidden or own or estimate.criterion.all_windows is None:
+        return False
+    told = estimate.summary is not None and int(estimate.block_count) >= FEWEST
+    return told and longest_delay(records) > 2
+
+
 @np.errstate(all="ignore")
 def demanded(
     model: Model,
@@ -353,13 +363,6 @@ def demanded(
     **Raises:** as [`summarise`][riecjax.summarise].
     """
     model, criterion = as_model(model), estimate.criterion
-    own = any(estimate.table[name].recording is not None for name in estimate.parameters)
-    # Nothing is told of hidden elements, parameters of each recording, windows drawn at random, and
-    # records too short for blocks to scatter.
-    if model.has_hidden or own or criterion.all_windows is None or estimate.summary is None:
-        return []
-    if longest_delay(records) < 3 or int(estimate.block_count) < FEWEST:
-        return []
     read = {n for each in records for n in signals_read(model, each, criterion, summed=True)}
     doubts = [*sensors(model, records, read), *lacked(model, records)]
     try:

@@ -404,11 +404,17 @@ class Model(PlainMethods, Shown, eqx.Module):
         of_kind = {kind: [signal for each, signal, _ in asked if each == kind] for kind in plain}
         offsets, gains = (tuple(dict.fromkeys(of_kind[kind])) for kind in ("offset", "gain"))
         model = self.with_sensor_errors(offsets, gains)
+        model = model.solved_together() if elements.together else model
         if modes := [HiddenMode(signal, hertz) for kind, signal, hertz in asked if kind == "mode"]:
             model = model.with_modes(*modes)
         if springs := of_kind["spring"]:
             model = model.with_series_springs(*map(SeriesSpring, springs))
         return model
+
+    def solved_together(self) -> "Model":
+        """The same model with the equations of all stages in one, as by [`simultaneous`][]."""
+        every = tuple(equation for stage in self.stages for equation in stage)
+        return replace(self, stages=(every,))
 
     @property
     def simulation_parameters(self) -> tuple[Quantity, ...]:

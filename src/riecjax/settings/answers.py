@@ -15,6 +15,7 @@ from riecjax.settings.kinds import (
     SHARE,
     TEXT,
     choice,
+    whole,
 )
 from riecjax.settings.option import Settings, flag, many, setting
 
@@ -80,6 +81,8 @@ class Validate(Settings):
     """Simulate the identified model on this recording."""
     sweep: bool = flag("--sweep/--no-sweep", True)
     """Estimates against window length, which show an inexact model."""
+    follow: int = setting("--follow N", whole(0, 10), 0)
+    """Carry out so many steps of advice, as long as one helps."""
 
 
 @dataclass(frozen=True, kw_only=True)

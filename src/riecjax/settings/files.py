@@ -202,6 +202,8 @@ class Elements(Settings):
     added: Sequence[tuple[str, str, float | None]] = many("--add KIND:SIGNAL[=HZ]", ELEMENT)
     """Add an element of this kind: mode, spring, offset or gain, as the options of these names
     do."""
+    together: bool = flag("--together")
+    """Solve the equations of all stages at once, for the parameters that they share."""
 
 
 @dataclass(frozen=True, kw_only=True)

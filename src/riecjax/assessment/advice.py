@@ -1,0 +1,168 @@
+"""What to do next: proposed by findings, carried out, and kept where it helps.
+
+A finding may know options of `riecjax identify` that put right what it is about. Before these are
+told, they are carried out on the recordings at hand, as the command line would, and all is
+estimated and judged once more. A step helps, if
+
+- the program accepts it;
+- blocks of time that parameters were not fitted to are left no more than before;
+- no value that was good leaves its doubt, and all in all doubts are smaller.
+
+A step that does not help is not told of. Of equivalent causes none has options: a finding names
+both, and what would tell them apart.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from riecjax.assessment.doubt import Doubt, Evidence, doubts
+from riecjax.equations.model import Model
+from riecjax.errors import RiecjaxError
+from riecjax.estimation.estimate import Estimate
+from riecjax.findings import Finding, joined
+from riecjax.folds import Folds
+from riecjax.leaves import size_of
+from riecjax.records.preparation.steps import undone
+from riecjax.records.recording import Recording
+from riecjax.settings.answers import Assess
+from riecjax.settings.files import Elements, Prepare, Read
+from riecjax.summaries.normal_equations import sum_of_equations
+
+if TYPE_CHECKING:
+    from riecjax.settings.option import Option
+
+
+@dataclass(frozen=True)
+class Step:
+    """Something to do next: what for, the options of `riecjax identify` that do it, and the command
+    with them, where one is known; how parameters `changed` by it, where it was tried."""
+
+    words: str
+    options: tuple[str, ...] = ()
+    command: str | None = None
+    changed: Mapping[str, tuple[float, float]] | None = field(default=None, compare=False)
+
+
+class Asked(NamedTuple):
+    """What is assessed: a model, recordings and settings."""
+
+    model: Model
+    recordings: Sequence[Recording]
+    settings: Assess
+
+    def with_options(self, words: Sequence[str]) -> "Asked":
+        """The same as options of the command line change it.
+
+        **Raises:** as what carries them out.
+        """
+        said: dict[str, list[str]] = {}
+        for word in words:
+            if word.startswith("--"):
+                said.setdefault(word, [])
+                flag = word
+            else:
+                said[flag].append(word)
+
+        def of(kind: type) -> dict[str, object]:
+            options: dict[str, Option] = kind.options()
+            return {
+                name: option.parsed(*said[option.flag]) if said[option.flag] else True
+                for name, option in options.items()
+                if option.flag in said
+            }
+
+        model = self.model.with_elements(Elements(**of(Elements)))
+        recordings = self.recordings
+        if of(Read) or of(Prepare):
+            pairs = [(option, text) for option, texts in said.items() for text in texts]
+            recordings = [
+                replace(
+                    one,
+                    record=undone(one.record, pairs),
+                    findings=tuple(f for f in one.findings if not f.about.kind == "sensors"),
+                    kinematics=(),
+                )
+                for one in recordings
+            ]
+        fitted = of(Assess)
+        if "alpha" in fitted or "beta" in fitted or "test_function" in fitted:
+            fitted = {"criterion": None, "band": None, **fitted}
+        return Asked(model, recordings, replace(self.settings, **fitted))
+
+
+def left_out(estimate: Estimate) -> float:
+    """What equations leave beyond noise of blocks of time that they were not fitted to, as shares
+    of their targets' energies, the sum over stages; infinite where nothing tells."""
+    if estimate.summary is None:
+        return np.inf
+    total, known = 0.0, dict(estimate.known)
+    for stage, equations in zip(estimate.stages, estimate.summary.equations()):
+        blocks = sum_of_equations(equations).fix(known).flattened()
+        folds = Folds.of(blocks.moments, blocks.clean, blocks.count, blocks.parameters)
+        names = [name for name in stage.parameters if name in folds.parameters]
+        total += float(folds.left(names).motion.sum()) / size_of(folds.energy)
+        known |= {name: estimate[name] for name in stage.parameters}
+    return total
+
+
+def helps(before: Evidence, after: Evidence) -> bool:
+    """Whether a step from one assessment to another makes it better."""
+    was, now = doubts(before), doubts(after)
+    common = was.keys() & now.keys()
+    if not common or any(_spoils(was[name], now[name]) for name in common):
+        return False
+    fits = left_out(before.estimate), left_out(after.estimate)
+    if type(before.estimate.criterion) is type(after.estimate.criterion) and not fits[1] <= fits[0]:
+        return False
+    sizes = [np.log(min(of[name].share, 1.0)) for of in (was, now) for name in sorted(common)]
+    return sum(sizes[len(common) :]) < sum(sizes[: len(common)])
+
+
+def _spoils(was: Doubt, now: Doubt) -> bool:
+    """Whether a value that was good is good no more, or leaves its doubt."""
+    return was.is_good and not (now.is_good and was.ends[0] <= now.value <= was.ends[1])
+
+
+def tried(
+    evidence: Evidence, again: Callable[[Sequence[str]], Evidence]
+) -> Iterator[tuple[Step, Evidence]]:
+    """Steps that are proposed and help, with what is known after each.
+
+    **Arguments:** `again` assesses with further options.
+    """
+    seen = set[tuple[str, ...]]()
+    for step in proposals(evidence):
+        if not step.options or step.options in seen:
+            continue
+        seen.add(step.options)
+        try:
+            after = again(step.options)
+        except RiecjaxError:
+            continue
+        if helps(evidence, after):
+            was, now = (each.answer for each in (evidence, after))
+            names = [name for name in was.parameters if name in now.parameters]
+            changed = {name: (float(was[name]), float(now[name])) for name in names}
+            yield replace(step, changed=changed), after
+
+
+def proposals(evidence: Evidence) -> Iterator[Step]:
+    """What findings propose to do, the most important first."""
+    by_importance = sorted(evidence.findings(), key=lambda finding: finding.importance)
+    for finding in by_importance:
+        yield from steps_of(finding, by_importance)
+
+
+def steps_of(finding: Finding, among: Sequence[Finding]) -> Iterator[Step]:
+    """What a finding proposes: its own step, else that of its class, for all findings alike."""
+    about = finding.about
+    if finding.step:
+        yield Step(finding.step, finding.remedy)
+    elif about.step:
+        alike = [other for other in among if other.about.step == about.step]
+        parameters = joined([*dict.fromkeys(name for f in alike for name in f.parameters)])
+        signals = joined([*dict.fromkeys(name for f in alike for name in f.signals)])
+        yield Step(about.step.format(parameters=parameters, signals=signals), about.options)
