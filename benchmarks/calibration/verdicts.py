@@ -13,6 +13,8 @@ the test. Written to benchmarks/verdicts.json.
 - A parameter is *sound* if its value is right, and model and sensors are, too. (A wrong sensor may
   leave a value right, and no one can know.)
 - A *doubt* holds if it reaches the truth.
+- *Advice* is followed up to three times. A value is *near* within 5 % of the truth; a step that
+  leaves a good value that was near no more near makes it worse.
 """
 
 import multiprocessing
@@ -33,12 +35,14 @@ SOUND = ("none", "short", "position only", "coarse")
 """Sensors that are limited and not wrong."""
 LEVELS = ("good", "caution", "do not use")
 NEAR = 0.1
+CLOSE = 0.05
+STEPS = 3
 TARGETS = {
     "good, within their doubt": (0.97, 1.0),
     "do not use, rightly": (0.85, 1.0),
     "sound, called good": (0.80, 1.0),
     "doubts that hold": (0.92, 0.99),
-    "median doubt of good values": (0.0, 1.0),
+    "good, made worse by a step": (0.0, 0.01),
 }
 PROCESSES = 2
 PARTS_IN_A_PROCESS = 10
@@ -57,6 +61,8 @@ class Judged(NamedTuple):
     inside: bool
     holds: bool
     share: float
+    advised: float
+    steps: int
 
     @property
     def right(self) -> bool:
@@ -72,7 +78,9 @@ class Judged(NamedTuple):
 def judged(case: Case) -> list[Judged] | None:
     """Verdicts on a case's parameters; `None` where there is no answer."""
     try:
-        assessment = rx.assess(case.model, case.record, case.criterion)
+        assessment = advised = rx.assess(case.model, case.record, case.criterion)
+        if assessment.tried:
+            advised = rx.assess(case.model, case.record, case.criterion, follow=STEPS)
     except rx.RiecjaxError:
         return None
     found = []
@@ -90,6 +98,8 @@ def judged(case: Case) -> list[Judged] | None:
                 bool(low <= truth <= high),
                 bool(one.doubt[0] <= truth <= one.doubt[1]),
                 one.share,
+                float(advised.answer[name]) / truth - 1,
+                len(advised.followed),
             )
         )
     return found
@@ -133,7 +143,14 @@ def figures(every: Sequence[Judged]) -> dict[str, float]:
         "median doubt of good values": float(
             np.median([j.share for j in every if j.level == "good"] or [np.nan])
         ),
+        "near, before advice": share(every, lambda j: abs(j.error) <= CLOSE),
+        "near, after advice": share(every, lambda j: abs(j.advised) <= CLOSE),
+        "good, made worse by a step": sum(map(_made_worse, every)) / max(sum(j.steps for j in every), 1),
     }
+
+
+def _made_worse(one: Judged) -> bool:
+    return one.level == "good" and abs(one.error) <= CLOSE < abs(one.advised)
 
 
 def _holds(one: Judged) -> bool:

@@ -121,6 +121,8 @@ def option_for(option: str, signals: Iterable[str], value: str) -> tuple[str, ..
     return tuple(word for name in signals for word in (option, f"{name}={value}"))
 
 
+SMOOTH = ("--test-function", "bump")
+"""Options of windows that read positions alone."""
 LONGER = "Record for longer, or excite the machine all along"
 RICHER = "Excite the machine more richly, or hold a parameter (--set NAME=VALUE)"
 _undetermined, _sensors, _model, _noise, _data, _computation, _reproduction = (
@@ -186,7 +188,7 @@ CODES: dict[str, FindingClass] = {
     "nothing_cut": _sensors("a cut removes nothing"),
     "file_changed": _sensors("a file is not the one that was read before"),
     "rows_left_out": _sensors("windows that touch a missing sample are left out"),
-    "stages_disagree": _model("later equations refute {parameters}"),
+    "stages_disagree": _model("later equations refute what earlier ones found"),
     "missing_term": _model("the model lacks a term", blames_model=True),
     "unmodelled_mode": _model("the model leaves out a mode", blames_model=True),
     "unexplained": _model("the model leaves more than noise", blames_model=True),

@@ -335,6 +335,8 @@ def _quadrature(summary: Summary) -> Iterator[Finding]:
             f"faster.",
             parameters=() if worst == KNOWN_TERMS else (worst,),
             doubt=min(float(shares[worst]), 1.0),
+            remedy=("--quadrature", "6"),
+            step="Integrate by a higher order",
         )
 
 

@@ -42,7 +42,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
 from riecjax.equations.term import Term
 from riecjax.errors import DataError
-from riecjax.findings import Finding, in_percent
+from riecjax.findings import SMOOTH, Finding, in_percent
 from riecjax.folds import Folds, Told
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.faults.spikes import repair_outliers
@@ -365,6 +365,8 @@ def _unrelated(relation: Relation, explained: float) -> Finding:
         f"({in_percent(max(explained, 0))} of that derivative's energy is explained). {CHECK}",
         relation.names,
         doubt=1.0,
+        remedy=SMOOTH,
+        step=f"Identify from {signal} alone, without {derivative}",
     )
 
 

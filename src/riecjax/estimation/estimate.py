@@ -25,7 +25,7 @@ from riecjax.estimation.parameters import (
     weighing,
 )
 from riecjax.estimation.stages import EquationFit, StageSolution
-from riecjax.findings import Finding, in_percent
+from riecjax.findings import Finding, in_percent, joined
 from riecjax.leaves import Leaf, PlainMethods
 from riecjax.linear_algebra import gram_condition_limit
 from riecjax.shows import Tabled, save
@@ -663,7 +663,7 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
 
     def _disagreement(self) -> list[Finding]:
         """Parameters on which recordings disagree by more than chance."""
-        return each_finding(
+        found = each_finding(
             "records_disagree",
             self.parameters,
             np.asarray(self.inflation) > NOTABLE_INFLATION,
@@ -673,6 +673,13 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
             "can have a value in each (per_record=, --per-record).",
             factor=self.inflation,
         )
+        return [
+            one._replace(
+                remedy=("--per-record", *one.parameters),
+                step=f"Let {joined(one.parameters)} differ between recordings",
+            )
+            for one in found
+        ]
 
     def _of(self, values: Float[Array, "*batch p"], name: str) -> Float[Array, "*batch"]:
         index = self._index(name)

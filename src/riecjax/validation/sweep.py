@@ -21,7 +21,7 @@ from riecjax.equations.model import Model, as_model
 from riecjax.errors import DataError, require
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.stages import solve_stages, stages_over_records
-from riecjax.findings import Finding, in_percent
+from riecjax.findings import SMOOTH, Finding, in_percent
 from riecjax.leaves import Leaf, finite, size_of, told
 from riecjax.records.record import Record, Records
 from riecjax.shows import Drawn
@@ -70,6 +70,7 @@ class WindowSweep(Drawn, eqx.Module):
       makes, shape `(bands, stages)`.
     - `block_count`: blocks that hold rows.
     - `table`, `stage_names`: as in an estimate.
+    - `answer`: values in windows of all lengths in use, by parameter.
     """
 
     name = "window_sweep"
@@ -82,6 +83,7 @@ class WindowSweep(Drawn, eqx.Module):
     block_count: Int[Array, ""]
     table: ParameterTable
     stage_names: tuple[str, ...] = eqx.field(static=True)
+    answer: Mapping[str, float]
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -179,7 +181,12 @@ class WindowSweep(Drawn, eqx.Module):
             makes = f"{cause}: the" if share > SMALL_NOISE else "The"
             cause = f"{makes} model leaves something out"
         message = f"{course}. {steadiness}. {cause}."
-        return [Finding("window_sensitive", message, parameters=tuple(names))]
+        doubts = {name: self.away(name, self.answer[name]) / size_of(self.answer[name]) for name in names}
+        found = Finding("window_sensitive", message, parameters=tuple(names), doubts=doubts)
+        if share > MOST:
+            step = "Take smooth windows, which read positions alone"
+            found = found._replace(remedy=SMOOTH, step=step)
+        return [found]
 
     def entry(self) -> dict[str, Any]:
         """Windows, estimates and what is left at each length, as plain data for JSON."""
@@ -314,6 +321,8 @@ def sweep_of_sums(summary: Summary, table: ParameterTable) -> WindowSweep:
     used = blocks_in_use(short, np.asarray(FEWEST_WINDOWS * ends[-1, 1]))
     every = [_estimates(summary.equations(pair), table, short, used) for pair in pairs]
     *found, held = map(np.stack, zip(*every))
+    # By the pass of all lengths in use.
+    whole = _estimates(summary.equations(), table, short, used)[0]
     known = (held >= SHARE_OF_BLOCKS * np.max(held)) & (held > 0)
     return WindowSweep(
         ends[:, 0],
@@ -322,6 +331,7 @@ def sweep_of_sums(summary: Summary, table: ParameterTable) -> WindowSweep:
         block_count=xp.sum(used),
         table=table,
         stage_names=tuple(label for label, names in table.stages if names),
+        answer=dict(zip(table.free, np.asarray(whole, float).tolist())),
     )
 
 

@@ -22,6 +22,7 @@ from riecjax.records.preparation.filtering import (
     unfilter,
 )
 from riecjax.records.preparation.resampling import set_clocks, shift, upsample
+from riecjax.records.reading.units import readings
 from riecjax.records.record import Record
 from riecjax.records.time_base import STEP_TOLERANCE
 from riecjax.settings import Prepare, Read
@@ -116,6 +117,8 @@ def undone(record: Record, remedies: Iterable[tuple[str, ...]]) -> Record:
         name: option.parsed(*said[option.flag]) for name, option in options if option.flag in said
     }
     factors = given.pop("scale", {})
+    for name, unit in given.pop("units", {}).items():
+        factors = {**factors, name: factors.get(name, 1.0) * next(iter(readings(unit).values())).factor}
     record = record.with_signals({n: by * record.signal(n) for n, by in factors.items()})
     return prepare(record, {}, Prepare(**given))[0]
 
