@@ -301,12 +301,6 @@ def _steps(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Step]:
         if (steady := sweep.steady(drifting)) is not None:
             low, high = (f"{end:.3g}" for end in steady)
             yield Step("Keep to windows in which all are steady", ("--alpha", low, "--beta", high))
-    if "residual_follows_signal" in by:
-        signal = " and ".join(by["residual_follows_signal"].signals)
-        yield Step(
-            f"Find the term in {signal} that is missing (riecjax discover), or shift {signal} if "
-            f"it is late"
-        )
     if "records_disagree" in by:
         names = [f.parameters[0] for f in findings if f.code == "records_disagree"]
         options = tuple(word for name in names for word in ("--per-record", name))
