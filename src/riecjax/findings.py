@@ -193,7 +193,6 @@ CODES: dict[str, FindingClass] = {
     "unmodelled_mode": _model("the model leaves out a mode", blames_model=True),
     "unexplained": _model("the model leaves more than noise", blames_model=True),
     "large_residual": _model("the model leaves more than half of the signal", of_size=True),
-    "residual_follows_signal": _model("what the model leaves follows {signals}", blames_model=True),
     "hysteresis": _model(
         "what the model leaves depends on the way that the motion came", blames_model=True
     ),

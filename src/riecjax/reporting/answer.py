@@ -184,15 +184,6 @@ class Correlation(Part):
     matrix: list[list[Number]] = []
 
 
-class Following(Part):
-    """How an equation's error follows a signal."""
-
-    signal: str
-    correlation: Number
-    lag_s: Number
-    bound: Number
-
-
 class WindowErrors(Part):
     """Errors of windows along the record."""
 
@@ -210,7 +201,6 @@ class ResidualTest(Part):
     relative_rms: Number
     correlation_time_s: Number
     integrated_autocorrelation_s: Number
-    follows: list[Following]
     band_hz: Number
     peak: Peak | None
     windows: WindowErrors | None = None

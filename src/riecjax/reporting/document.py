@@ -18,7 +18,7 @@ It is raised when the meaning of a key changes or a key is removed; new keys don
 """
 READABLE = (1, 2, 3, SCHEMA)
 """Schemas of documents that this version reads: 2 dropped `seed_scatter`, 3 dropped `loop` of
-residual tests, 4 dropped `window_choice`, which no reader needs."""
+residual tests, 4 dropped `window_choice` and `follows` of residual tests, which no reader needs."""
 
 
 def unread_schema(schema: object) -> str:

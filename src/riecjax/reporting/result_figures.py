@@ -25,7 +25,6 @@ from riecjax.reporting.charts.chart import (
     BLUE,
     BOLD,
     GREY,
-    LARGE,
     RUST,
     SMALL,
     THIN,
@@ -43,7 +42,7 @@ from riecjax.reporting.charts.chart import (
 )
 from riecjax.shows import chart_of
 from riecjax.validation import HeldOut, ResidualTests, WindowSweep
-from riecjax.validation.residuals import Correlation, EquationResidual
+from riecjax.validation.residuals import EquationResidual
 
 if TYPE_CHECKING:
     from riecjax.equations.equation import Equation
@@ -382,35 +381,18 @@ def residual_figure(residual: EquationResidual) -> Chart:
         [noise, Level(0), Line(np.repeat(found.lag, 3), stems.ravel(), width=THIN)],
         Axis("lag / s"),
         Axis("autocorrelation of the error", low=-BEYOND, high=BEYOND),
+        columns=2,
     )
     return Chart(
         (
             (excerpt, impulse),
-            (autocorrelation, _following(residual.follows)),
+            (autocorrelation,),
             (_spectra(residual),),
         ),
         f"What {residual.name} leaves, sample by sample: root mean square error "
         f"{_share(residual)}. Above, its beginning and its impulse; then its correlation with "
-        "itself and with the signal that it follows most; and its spectrum, in which a mode that "
-        "the model leaves out is a peak.",
+        "itself; and its spectrum, in which a mode that the model leaves out is a peak.",
     )
-
-
-def _following(follows: tuple[Correlation, ...]) -> Panel | None:
-    """Correlation with the signal that the error follows most."""
-    if not follows:
-        return None
-    most = follows[0]
-    bound = min(most.bound, 1.0)
-    largest = f"{most.largest:.2f} at {most.largest_lag:.3g} s"
-    marks = [
-        Span(-bound, bound, "y", "unrelated, 95 %"),
-        Level(0),
-        Line(most.lag, most.values, color=BLUE),
-        Dots([most.largest_lag], [most.largest], largest, RUST, size=LARGE),
-    ]
-    label = f"correlation with {most.signal}"
-    return Panel(marks, Axis("error later by / s"), Axis(label, low=-BEYOND, high=BEYOND))
 
 
 def _spectra(residual: EquationResidual) -> Panel:

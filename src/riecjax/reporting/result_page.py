@@ -180,17 +180,9 @@ def _validation(runs: Sequence[parts.HeldOutPart]) -> list[Section]:
 
 def residual_table(tests: Mapping[str, parts.ResidualTest]) -> Table:
     """What each equation leaves, sample by sample."""
-
-    def followed(form: Callable[[Any], str], none: str = "") -> Callable[[parts.ResidualTest], str]:
-        return lambda test: form(test.follows[0]) if test.follows else none
-
     cells = {
         "error / %": lambda test: _percent(test.relative_rms),
         "peak / Hz": lambda test: f"{test.peak.frequency:.3g}" if test.peak else "none",
-        "follows": followed(lambda first: first.signal, "none"),
-        "correlation": followed(lambda first: f"{first.correlation:.2f}"),
-        "by chance up to": followed(lambda first: f"{first.bound:.2f}"),
-        "later by / s": followed(lambda first: number(first.lag_s, 3)),
         "alike for / s": lambda test: number(test.correlation_time_s, 2),
     }
     return Table.of("equation", tests.items(), cells)
@@ -210,12 +202,6 @@ def _residual_in_words(name: str, test: parts.ResidualTest) -> str:
         if peak is None
         else f"{percents(peak.share, '.0f')} % of its power lies from {peak.low:.3g} to "
         f"{peak.high:.3g} Hz, about a peak near {peak.frequency:.3g} Hz",
-        *(
-            f"it follows {first.signal} (correlation {first.correlation:.2f})"
-            if abs(first.correlation or 0.0) > (first.bound or 0.0)
-            else "it follows no signal more than by chance"
-            for first in test.follows[:1]
-        ),
     ]
     if windows is not None and windows.p_value is not None and windows.mean_square_ratio:
         ratio = windows.mean_square_ratio**0.5

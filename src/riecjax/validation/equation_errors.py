@@ -17,7 +17,7 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
@@ -96,11 +96,6 @@ class EquationError(PlainMethods, eqx.Module):
         """Root mean square of the error relative to the target's; zero of a silent target."""
         squares = (xp.sum(xp.square(values)) for values in (self.error, self.target))
         return xp.sqrt(share_of(*squares))
-
-    def centred(self, samples: Float[Leaf, " n"]) -> Float[Leaf, " values"]:
-        """A signal at the middle of each window, from its samples."""
-        samples = xp.asarray(samples)
-        return 0.5 * (samples[1:] + samples[:-1]) if self.span == 1 else samples[1:-1]
 
 
 def equation_error(
@@ -192,10 +187,11 @@ def joined(errors: Sequence[EquationError], pad: int) -> EquationError:
     Between records stand `pad` values that are not present, so that no two values less than `pad`
     apart belong to different records, and times go on. Arrays are NumPy's, for tests and figures.
     """
-    error, explained, present = (
-        with_pads([np.asarray(getattr(part, field)) for part in errors], pad, 0)
-        for field in ("error", "explained", "present")
-    )
+    series = {}
+    for field in ("error", "explained", "present"):
+        parts = [np.asarray(getattr(part, field)) for part in errors]
+        between = np.zeros(pad, parts[0].dtype)
+        series[field] = np.concatenate([piece for part in parts for piece in (between, part)][1:])
     first, step = errors[0], float(errors[0].time_step)
     times = [np.asarray(first.times)]
     for part in errors[1:]:
@@ -203,17 +199,7 @@ def joined(errors: Sequence[EquationError], pad: int) -> EquationError:
         times += [last + step * np.arange(1, pad + 1), own - own[0] + last + step * (pad + 1)]
     return dataclasses.replace(
         first,
-        error=error,
-        explained=explained,
-        present=present,
+        **series,
         time_step=np.asarray(first.time_step),
         times=np.concatenate(times),
     )
-
-
-def with_pads(
-    parts: Sequence[Shaped[np.ndarray, " n"]], pad: int, value: float = np.nan
-) -> Shaped[np.ndarray, " m"]:
-    """Arrays one after the other with a value `pad` times between them."""
-    between = np.full(pad, value, parts[0].dtype)
-    return np.concatenate([piece for part in parts for piece in (between, part)][1:])

@@ -1,14 +1,14 @@
 """What an identified model leaves unexplained, and what that says of the model.
 
 Of a complete model white noise is left, or what sensors make of it. A mode that was left out
-shows as a peak of the error's spectrum, a force as an error that follows a signal, and stretches
-of the record that do not belong together as errors of unequal size. Each is reported only where
-chance does not explain it and it is large enough to matter.
+shows as a peak of the error's spectrum, and stretches of the record that do not belong together
+as errors of unequal size. Each is reported only where chance does not explain it and it is large
+enough to matter.
 
-Second-order statistics of an equation error: correlation, spectrum, and what chance would make.
+Second-order statistics of an equation error: autocorrelation, spectrum, and what chance would make.
 
-Both are of the error as a series in time with gaps. Correlations say what it follows and for how
-long; the spectrum over which frequencies it is spread, and whether it gathers in a peak.
+Both are of the error as a series in time with gaps. The autocorrelation says how long it stays like
+itself; the spectrum over which frequencies it is spread, and whether it gathers in a peak.
 
 Eq. (18) on recorded data: whether errors of random windows have one variance and no correlation.
 
@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 import scipy
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Float
 
 from riecjax import tails
 from riecjax.criteria.windows import AbstractWindows
@@ -42,58 +42,33 @@ from riecjax.validation.equation_errors import (
     errors_over_records,
     joined,
     share_of,
-    with_pads,
 )
 
 LEVEL = 0.05
-"""Probability that chance alone passes a bound."""
+"""Probability that white noise alone passes a bound."""
 
-# Bounds of correlations. Of two independent series of n values, with autocovariances R_1 and R_2,
-# the sum c = sum_t x_t y_(t+k) has mean zero and the variance
-#
-#     E c^2 = sum_(t,s) E(x_t x_s) E(y_(t+k) y_(s+k)) = sum_j (n - |j|) R_1(j) R_2(j),
-#
-# and the correlation c / (n s_1 s_2) therefore (1/n) sum_j r_1(j) r_2(j), to first order in 1/n:
-# Bartlett's formula. For white noise it is 1/n. Two signals that oscillate at one frequency pass
-# 1.96 / sqrt(n) all the time; n times the variance is how many samples tell as much as one
-# independent sample, and correlations at lags closer than that are one test, not several.
-#
 # What the integrated autocorrelation says. A sum over m = lags + 1 successive values has the
 # variance s^2 (m + 2 sum_(k < m) (m - k) r(k)): in units of m s^2, that of white noise, it is
 # 1 + 2 sum (1 - k/m) r(k). It goes to zero where eq. (8) bounds the impulse of the error, since
 # the variance then stays while m grows.
 
 
-class Correlation(NamedTuple):
-    """Correlation of an error with one signal, or with itself.
+class Autocorrelation(NamedTuple):
+    """Correlation of an error with itself.
 
     **Fields:**
 
-    - `signal`: its name, empty of the error itself.
-    - `lag` in seconds and `values`, of the same shape; at a positive lag the error comes later.
-    - `bound`: of the error itself, 95 % of the values of white noise lie within plus or minus this;
-      with a signal, two independent series with these autocorrelations stay below it at every lag
-      of every signal of the equation, with 95 % probability.
+    - `lag` in seconds and `values`, of the same shape.
+    - `bound`: 95 % of the values of white noise lie within plus or minus this.
     """
 
-    signal: str
     lag: Float[np.ndarray, " lags"]
     values: Float[np.ndarray, " lags"]
     bound: float
 
     @property
-    def largest(self) -> float:
-        """The correlation of largest size."""
-        return float(self.values[np.argmax(np.abs(self.values))])
-
-    @property
-    def largest_lag(self) -> float:
-        """Its lag in seconds."""
-        return float(self.lag[np.argmax(np.abs(self.values))])
-
-    @property
     def correlation_time(self) -> float:
-        """Of the error itself, sum of the squared values over lags of both signs, in seconds.
+        """Sum of the squared values over lags of both signs, in seconds.
 
         How long it stays like itself, with either sign. One time step for white noise.
         """
@@ -113,87 +88,25 @@ Series = Float[np.ndarray, " n"]
 """Values in time, NaN where they are missing."""
 
 
-def autocorrelation(series: Series, lags: int, time_step: float) -> Correlation:
-    """Autocorrelation about the mean at lags from zero; zeros of a series that does not vary."""
-    held, forward = np.count_nonzero(~np.isnan(series)), np.arange(lags + 1)
-    bound = float(tails.normal(LEVEL / 2) / np.sqrt(max(held, 1)))
-    centred = _centred(series)
-    values = _correlation(centred, centred, ~np.isnan(series), forward)
-    return Correlation("", forward * time_step, values, bound)
+def autocorrelation(series: Series, lags: int, time_step: float) -> Autocorrelation:
+    """Autocorrelation about the mean at lags from zero; zero at others where nothing varies.
 
-
-def cross_correlation(
-    error: Series, signal: Series, lags: int, time_step: float, *, name: str = "", signals: int = 1
-) -> Correlation:
-    """Correlation of an error with a signal about their means, at lags of both signs.
-
-    The bound takes Bartlett's variance, and Bonferroni's correction for as many lags as are
-    independent, of this and of all `signals`.
+    The mean product of the pairs that are there at each lag, over the mean square.
     """
-    there = ~(np.isnan(error) | np.isnan(signal))
-    error, signal = (_centred(np.where(there, series, np.nan)) for series in (error, signal))
-    around = np.arange(-lags, lags + 1)
-    variance = bartlett_variance(error, signal)
-    apart = max(around.size / max(variance * np.count_nonzero(there), 1.0), 1.0)
-    bound = float(tails.normal(LEVEL / (2 * apart * signals)) * np.sqrt(variance))
-    values = _correlation(error, signal, there, around)
-    return Correlation(name, around * time_step, values, bound)
-
-
-def _centred(series: Series) -> Float[np.ndarray, " n"]:
-    """The same about its mean, zero where it is missing."""
-    there = ~np.isnan(series)
-    mean = np.sum(series, where=there) / max(np.count_nonzero(there), 1)
-    return np.where(there, series - mean, 0.0)
-
-
-def _correlation(error: Series, signal: Series, there: np.ndarray, lags: np.ndarray) -> np.ndarray:
-    """Mean product of the pairs that are there at each lag, over the root mean squares, of series
-    about their means."""
-    scale = float(np.linalg.norm(error) * np.linalg.norm(signal)) / max(np.sum(there), 1)
-    if not scale > 0:
-        return np.where(lags == 0, 1.0 if error is signal else 0.0, 0.0)
-    size, (first, second, held) = _spectra(error, signal, there)
-    products = np.fft.irfft([first * np.conj(second), held * np.conj(held)], size)
-    sums, pairs = products.take(lags, axis=1, mode="wrap")  # those below zero stand at the end
-    pairs = np.round(pairs)
-    return np.where(pairs > 0, sums / np.maximum(pairs, 1) / scale, 0.0)
-
-
-def _spectra(*series: np.ndarray) -> tuple[int, list[Complex[np.ndarray, " frequencies"]]]:
-    """Of series with zeros behind them, as many as keep their products at all lags apart; and the
-    samples of both."""
-    size = int(scipy.fft.next_fast_len(2 * series[0].size, real=True) or 0)
-    return size, [np.fft.rfft(each, size) for each in series]
-
-
-def averaged(series: Series, count: int) -> Series:
-    """Means of `count` successive values, of which those that are whole are present."""
-    missing = np.isnan(series)
-    running = np.concatenate([[0.0], np.cumsum(np.where(missing, 0.0, series))])
-    absent = np.concatenate([[0], np.cumsum(missing)])
-    means = (running[count:] - running[:-count]) / count
-    return np.where(absent[count:] == absent[:-count], means, np.nan)
-
-
-def bartlett_variance(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> float:
-    """Variance of the correlation of two independent series: sum_k r_1(k) r_2(k) / n (Bartlett).
-
-    Of series about their means, zero where a sample is missing; 0 of a silent one.
-    """
-    size, spectra = _spectra(one, other)
-    # A sum over all lags is one over all frequencies (Parseval).
-    products = np.fft.irfft(np.prod(np.abs(spectra) ** 2, axis=0), size)[0]
-    scale = np.sum(one**2) * np.sum(other**2)
-    count = np.count_nonzero((one != 0) | (other != 0))
-    return float(products / (scale * count)) if scale > 0 and count else 0.0
-
-
-def _of_order_one(series: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """A signal's values in each record over one power of two, where only ratios matter: sums and
-    squares of values near the largest number would overflow."""
-    largest = max(np.nanmax(np.abs(values), initial=0.0) for values in series)
-    return [np.ldexp(values, -np.frexp(largest)[1]) for values in series]
+    there, lag = ~np.isnan(series), np.arange(lags + 1)
+    held = max(np.count_nonzero(there), 1)
+    bound = float(tails.normal(LEVEL / 2) / np.sqrt(held))
+    centred = np.where(there, series - np.sum(series, where=there) / held, 0.0)
+    mean_square = float(np.linalg.norm(centred) ** 2) / held
+    values = np.where(lag == 0, 1.0, 0.0)
+    if mean_square > 0:
+        # With as many zeros behind them as keep products at all lags apart.
+        size = int(scipy.fft.next_fast_len(2 * series.size, real=True) or 0)
+        spectra = np.fft.rfft([centred, there], size)
+        sums, pairs = np.fft.irfft(spectra * np.conj(spectra), size)[:, : lags + 1]
+        pairs = np.round(pairs)
+        values = np.where(pairs > 0, sums / np.maximum(pairs, 1) / mean_square, 0.0)
+    return Autocorrelation(lag * time_step, values, bound)
 
 
 # When a peak is no chance. One periodogram scatters by its own size. The mean over K segments under
@@ -265,10 +178,6 @@ class ErrorSpectrum(NamedTuple):
         """Hertz from one frequency to the next."""
         return float(self.frequency[1])
 
-    def share(self, gain: Float[np.ndarray, "frequencies *n"]) -> Float[np.ndarray, "*n"]:
-        """Of what passes a gain of powers, the error's r.m.s. relative to the target's."""
-        return np.sqrt(share_of(self.error @ gain, self.target @ gain))
-
     @property
     def band(self) -> float:
         """Hertz up to which 99 % of the power common to target and explained part lies.
@@ -331,15 +240,12 @@ def peaks(density: Float[np.ndarray, " n"], factor: float) -> Iterator[tuple[int
             yield top, top - ends[0], top + ends[1]
 
 
-def error_spectrum(
-    error: EquationError, *, parts: int = SEGMENTS, detrend: bool = True
-) -> ErrorSpectrum:
+def error_spectrum(error: EquationError) -> ErrorSpectrum:
     """Welch's spectra of an equation error and of what the model explains.
 
-    Hann windows on segments that overlap by half; none reaches over a gap. Not under jit.
-
-    **Arguments:** `parts`: a segment is this part of the record, 64 samples at least; shorter
-    where unbroken stretches are. `detrend`: take each segment's mean off.
+    Hann windows on segments that overlap by half, each about its mean; none reaches over a gap. A
+    segment is a 32nd of the record, 64 samples at least; shorter where unbroken stretches are. Not
+    under jit.
     """
     runs, length = error.runs(), SHORTEST_SEGMENT
     if runs:
@@ -347,7 +253,7 @@ def error_spectrum(
         longest_first = np.sort([run.stop - run.start for run in runs])[::-1]
         running = np.cumsum(longest_first)
         typical = int(longest_first[np.searchsorted(running, running[-1] / 2)])
-        length = max(min(max(int(running[-1]) // parts, SHORTEST_SEGMENT), typical), 2)
+        length = max(min(max(int(running[-1]) // SEGMENTS, SHORTEST_SEGMENT), typical), 2)
     series = np.stack([error.error, error.explained, error.target])
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
     sums, count = np.zeros((len(ErrorSpectrum._fields) - 2, length // 2 + 1)), 0
@@ -356,8 +262,7 @@ def error_spectrum(
             continue
         segments = np.lib.stride_tricks.sliding_window_view(series[:, run], length, axis=1)
         segments = segments[:, :: length - length // 2]
-        if detrend:
-            segments = segments - np.mean(segments, axis=2, keepdims=True)
+        segments = segments - np.mean(segments, axis=2, keepdims=True)
         count += segments.shape[1]
         left, explained, target = np.fft.rfft(segments * window, axis=2)
         # Of each with itself, and of the target with what is explained.
@@ -521,8 +426,6 @@ def _ratio(mean_square: np.ndarray) -> float:
 
 NOTABLE_SIZE = 0.02
 """Share of the target below which an error does not matter."""
-NOTABLE_CORRELATION = 0.3
-"""Correlation below which less than a tenth of the error's power follows a signal."""
 NOTABLE_RATIO = 10.0
 """Mean square errors of the loudest and the quietest stretch that are uneven: 3.2 in rms."""
 RARE = 0.01
@@ -538,11 +441,6 @@ class EquationResidual(NamedTuple):
 
     - `name` of the equation, unlike that of others; its `error` over all records, see `joined`.
     - `autocorrelation` of the error.
-    - `follows`: correlation with each signal that all records hold, strongest first. Error and
-      signals are averaged over half a period of the fastest motion in the model's band, or half
-      the shortest window if that is longer, so that differentiated sensor noise does not hide what
-      is left of the motion.
-    - `averaged_size`: root mean square of the averaged error relative to the averaged target.
     - `spectrum`, and its `peak` if there is a genuine one.
     - `windows`: eq. (18) on these records; `None` for a criterion without windows, or records too
       short for four of the longest.
@@ -550,15 +448,13 @@ class EquationResidual(NamedTuple):
       those of `carrying` that carry one in the model.
     - `dampers`: coefficients with which a spring that the model lacks could be in series, and
       the first ones of `maps` of which that may be said.
-    - `parameters` of the equation, and the signals that its model `names`.
+    - `parameters` of the equation.
     - `explained`: whether a fault of a sensor explains what is left, which is then no model's.
     """
 
     name: str
     error: EquationError
-    autocorrelation: Correlation
-    follows: tuple[Correlation, ...]
-    averaged_size: float
+    autocorrelation: Autocorrelation
     spectrum: ErrorSpectrum
     peak: Peak | None
     windows: WindowErrors | None
@@ -567,23 +463,21 @@ class EquationResidual(NamedTuple):
     dampers: tuple[str, ...] = ()
     maps: tuple[str, ...] = ()
     parameters: tuple[str, ...] = ()
-    names: tuple[str, ...] = ()
     explained: bool = False
 
     def findings(self) -> list[Finding]:
-        """`unmodelled_mode`, `residual_follows_signal`, `uneven_errors`."""
+        """`unmodelled_mode`, `uneven_errors`."""
         made: list[Finding] = []
-        if not self.explained:
-            if (peak := self.peak) is not None and peak.size >= NOTABLE_SIZE:
-                said = (
-                    f"{self.name}: the equation error peaks near {peak.frequency:.3g} Hz, and "
-                    f"{in_percent(peak.share, '.0f')} of its power up to "
-                    f"{self.spectrum.band:.3g} Hz lies from {peak.low:.3g} to {peak.high:.3g} Hz: "
-                    f"the model leaves out a mode there, or gets one wrong. {self._add()}, or use "
-                    f"windows longer than {1 / peak.frequency:.2g} s, over which it averages out."
-                )
-                made.append(Finding("unmodelled_mode", said))
-            made += self._following()
+        peak = None if self.explained else self.peak
+        if peak is not None and peak.size >= NOTABLE_SIZE:
+            said = (
+                f"{self.name}: the equation error peaks near {peak.frequency:.3g} Hz, and "
+                f"{in_percent(peak.share, '.0f')} of its power up to "
+                f"{self.spectrum.band:.3g} Hz lies from {peak.low:.3g} to {peak.high:.3g} Hz: "
+                f"the model leaves out a mode there, or gets one wrong. {self._add()}, or use "
+                f"windows longer than {1 / peak.frequency:.2g} s, over which it averages out."
+            )
+            made.append(Finding("unmodelled_mode", said))
         found = [*made, *self._uneven()]
         return [finding._replace(parameters=self.parameters) for finding in found]
 
@@ -604,32 +498,6 @@ class EquationResidual(NamedTuple):
             f"Find the mode on {' or '.join(self.bodies)} (on the command line: --add-mode "
             f"{self.bodies[-1]}; rx.HiddenMode('{self.bodies[-1]}'))"
         )
-
-    def _following(self) -> Iterator[Finding]:
-        if not self.follows:
-            return
-        first = self.follows[0]
-        size = abs(first.largest)
-        notable = size > max(first.bound, NOTABLE_CORRELATION)
-        if notable and size * self.averaged_size >= NOTABLE_SIZE:
-            cause = (
-                "a term in it is missing or has another form, or a sensor is late. Add a term, or "
-                "shift the signal."
-                if self.peak is None
-                else f"as the ringing of a mode near {self.peak.frequency:.3g} Hz does, or of a "
-                f"sensor that is late. {self._add()}, or shift the signal."
-            )
-            if self.names and first.signal not in self.names:
-                cause = "the model does not use it. Add a term in it."
-            lag = first.largest_lag
-            late = f", {abs(lag):.3g} s {'later' if lag > 0 else 'earlier'}" if lag else ""
-            yield Finding(
-                "residual_follows_signal",
-                f"{self.name}: what the model leaves follows {first.signal}{late} (correlation "
-                f"{first.largest:.2f}), by {in_percent(size * self.averaged_size, '.3g')} of the "
-                f"target: {cause}",
-                (first.signal,),
-            )
 
     def _uneven(self) -> Iterator[Finding]:
         errors = self.windows
@@ -679,15 +547,6 @@ class EquationResidual(NamedTuple):
             "relative_rms": float(self.error.relative_rms),
             "correlation_time_s": self.autocorrelation.correlation_time,
             "integrated_autocorrelation_s": self.autocorrelation.integrated,
-            "follows": [
-                {
-                    "signal": one.signal,
-                    "correlation": one.largest,
-                    "lag_s": one.largest_lag,
-                    "bound": one.bound,
-                }
-                for one in self.follows
-            ],
             "band_hz": self.spectrum.band,
             "peak": self.peak,
             "windows": None
@@ -744,8 +603,8 @@ def residual_tests(
 ) -> ResidualTests:
     """Test what an identified model leaves unexplained (not under jit).
 
-    Correlations are looked at up to the longest window or else 50 samples, no more than 400 and a
-    tenth of the records.
+    The autocorrelation is looked at up to the longest window or else 50 samples, no more than 400
+    and a tenth of the records.
 
     **Arguments:**
 
@@ -771,31 +630,11 @@ def residual_tests(
     names = told_apart([of_equation[0].name for of_equation in errors])
     first = recordings[0]
     reads = [e.signals_read(first, of[0].span) for e, of in zip(model.equations, errors)]
-    pairs = (pair for equation in model.equations for pair in equation.derivatives)
-    named = {name for pair in pairs for name in pair}.union(*reads)
     faulty = {name for fault in faults for name in fault.signals}
-    common = [n for n in first.arrays if all(n in each.arrays for each in recordings)]
     found, parts = [], zip(names, errors, model.equations, reads, strict=True)
     for name, of_equation, equation, read in parts:
         error = joined(of_equation, lags)
-        step, spectrum = float(error.time_step), error_spectrum(error)
-        shortest = 0.0 if windows is None else float(windows.alpha)
-        period = 1 / spectrum.band if spectrum.band > 0 else 0.0
-        count = min(max(round(max(period, shortest) / (2 * step)), 1), lags)
-        smoothed = averaged(error.series, count)
-        target = averaged(np.where(error.present, error.target, np.nan), count)
-        size = float(np.sqrt(share_of(np.nansum(smoothed**2), np.nansum(target**2))))
-        follows = []
-        for other in common:
-            values = [
-                np.asarray(of.centred(record.signal(other).with_nan))
-                for of, record in zip(of_equation, recordings)
-            ]
-            signal = averaged(with_pads(_of_order_one(values), lags), count)
-            both = signal[~np.isnan(smoothed) & ~np.isnan(signal)]
-            if both.size and np.ptp(both) > 0:
-                among = {"name": other, "signals": len(common)}
-                follows.append(cross_correlation(smoothed, signal, lags, step, **among))
+        spectrum = error_spectrum(error)
         # Where the equation could hide something.
         sprung = {spring.of for spring in model.springs}
         elements = force_elements(model.equations, [equation])
@@ -803,9 +642,7 @@ def residual_tests(
         residual = EquationResidual(
             name,
             error,
-            autocorrelation(error.series, lags, step),
-            tuple(sorted(follows, key=lambda one: -abs(one.largest))),
-            size,
+            autocorrelation(error.series, lags, float(error.time_step)),
             spectrum,
             spectrum.peak(),
             None if windows is None else window_errors(of_equation, windows),
@@ -814,7 +651,6 @@ def residual_tests(
             dampers=tuple(name for name, term in free.items() if term.is_linear),
             maps=tuple(name for name, term in free.items() if not term.is_linear),
             parameters=equation.parameters,
-            names=tuple(sorted(named)),
             explained=not faulty.isdisjoint(read),
         )
         found.append(residual)
