@@ -136,7 +136,8 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
     `IdentifiabilityError` for what [`Check.answerable`][] denies. What cannot be tested or
     simulated raises nothing: it is a finding.
     """
-    asked = Asked(as_model(model), ready(model, recordings, settings.noise), settings)
+    model = as_model(model)
+    asked = Asked(model, ready(model, recordings, settings.noise), settings)
     assessment, steps = _assessed(asked), []
     for number in range(settings.follow + 1):
         trial = functools.partial(_trial, asked)

@@ -449,7 +449,8 @@ class EquationResidual(NamedTuple):
     - `dampers`: coefficients with which a spring that the model lacks could be in series, and
       the first ones of `maps` of which that may be said.
     - `parameters` of the equation.
-    - `explained`: whether a fault of a sensor explains what is left, which is then no model's.
+    - `explained`: whether causes of what is left were weighed, or a fault of a sensor explains it:
+      then a peak of its spectrum says nothing more.
     """
 
     name: str
@@ -477,7 +478,8 @@ class EquationResidual(NamedTuple):
                 f"the model leaves out a mode there, or gets one wrong. {self._add()}, or use "
                 f"windows longer than {1 / peak.frequency:.2g} s, over which it averages out."
             )
-            made.append(Finding("unmodelled_mode", said))
+            step, remedy = self._to_add()
+            made.append(Finding("unmodelled_mode", said, remedy=remedy, step=step))
         found = [*made, *self._uneven()]
         return [finding._replace(parameters=self.parameters) for finding in found]
 
@@ -498,6 +500,15 @@ class EquationResidual(NamedTuple):
             f"Find the mode on {' or '.join(self.bodies)} (on the command line: --add-mode "
             f"{self.bodies[-1]}; rx.HiddenMode('{self.bodies[-1]}'))"
         )
+
+    def _to_add(self) -> tuple[str, tuple[str, ...]]:
+        """The same in few words, and as options of `riecjax identify`."""
+        if self.bodies and not self.carrying:
+            return "Find the mode that the model leaves out", ("--add-mode", self.bodies[-1])
+        if self.dampers:
+            words = "Find a spring in series with a damper, which the model leaves out"
+            return words, ("--add-spring", self.dampers[0])
+        return "", ()
 
     def _uneven(self) -> Iterator[Finding]:
         errors = self.windows
@@ -533,12 +544,6 @@ class EquationResidual(NamedTuple):
             and errors.relative_rms >= NOTABLE_SIZE
             and errors.correlation > max(NOTABLE_SHARED, 10 * errors.window_share)
         )
-
-    @property
-    def shared_energy(self) -> float:
-        """Share of the energy of all windows' errors that they have in common; 0 of a small one."""
-        correlation = 0.0 if self.windows is None else self.windows.correlation
-        return min(correlation, 1.0) if correlation > NOTABLE_SHARED else 0.0
 
     def entry(self) -> dict[str, Any]:
         """Numbers of the tests, without the series, as plain data for JSON."""
@@ -600,6 +605,7 @@ def residual_tests(
     windows: AbstractWindows | None = None,
     errors: list[list[EquationError]] | None = None,
     faults: Sequence[Finding] = (),
+    weighed: bool = False,
 ) -> ResidualTests:
     """Test what an identified model leaves unexplained (not under jit).
 
@@ -611,7 +617,8 @@ def residual_tests(
     - `estimate`: of these records or of others; or parameter name to value.
     - `windows`: whose errors eq. (18) is tested on; by default those of the estimate.
     - `errors` of each equation on each record, from [`errors_over_records`][], if they are known.
-    - `faults` of sensors that explain what is left where their signals are read.
+    - `faults` of sensors that explain what is left where their signals are read; whether all
+      causes were `weighed`, of which they are what the recordings demand.
 
     **Raises:** `ModelError` for a parameter without a value; `DataError` for a missing signal,
     records of unequal time steps or too short ones.
@@ -651,7 +658,7 @@ def residual_tests(
             dampers=tuple(name for name, term in free.items() if term.is_linear),
             maps=tuple(name for name, term in free.items() if not term.is_linear),
             parameters=equation.parameters,
-            explained=not faulty.isdisjoint(read),
+            explained=weighed or not faulty.isdisjoint(read),
         )
         found.append(residual)
     return ResidualTests(tuple(found), tuple(faults))

@@ -66,6 +66,7 @@ def residuals_tested(
     which finds what explains most of what is left.
     """
     # Not earlier: who only checks recordings waits for none of these.
+    from riecjax.doubts.equation_faults import can_be_weighed
     from riecjax.validation.equation_errors import errors_over_records
     from riecjax.validation.residuals import residual_tests
 
@@ -73,7 +74,10 @@ def residuals_tested(
     try:
         errors = errors_over_records(model, records, estimate.values)
         faults = faults_of(model, records, errors, estimate)
-        test = residual_tests(model, records, estimate, errors=errors, faults=faults)
+        weighed = can_be_weighed(model, records, estimate)
+        test = residual_tests(
+            model, records, estimate, errors=errors, faults=faults, weighed=weighed
+        )
     except RiecjaxError as error:
         return Tested([], [Finding("residuals_not_tested", str(error))])
     return Tested([test], [])
