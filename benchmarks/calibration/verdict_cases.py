@@ -95,7 +95,8 @@ FAULTS = (
 
 
 class Case(NamedTuple):
-    """A model, a record or several, the parameters' true values, and windows, if not the usual."""
+    """A model, a record or several, the parameters' true values, windows, if not the usual, and
+    true values `beside_mode`, where one that the model leaves out is added."""
 
     kind: str
     fault: str
@@ -104,6 +105,7 @@ class Case(NamedTuple):
     record: rx.Record | list[rx.Record]
     truth: dict[str, float]
     criterion: rx.RIEC | None = None
+    beside_mode: dict[str, float] = {}
 
 
 def draw(kind: Kind, rng: np.random.Generator, systems: int) -> Values:
@@ -244,8 +246,9 @@ def cases(kind: Kind, fault: str, seed: int, systems: int) -> list[Case]:
         noise = NOISES[i % len(NOISES)]
         record = recorded({n: s[i] for n, s in motion.items()}, fault, noise, rng, signals)
         truth = {name: float(values[name][i]) for name in parameters}
+        own = {"m": truth["m"]}
         if kind.left_out in ("mode", "coupled"):
             # What a body without the other stands for: both, as they move together when slow.
             truth["m"] = float(values["m"][i] + values["m2"][i])
-        found.append(Case(kind.name, fault, noise, model, record, truth))
+        found.append(Case(kind.name, fault, noise, model, record, truth, beside_mode=own))
     return found

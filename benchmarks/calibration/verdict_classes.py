@@ -379,7 +379,10 @@ def load_on_spring(rng: np.random.Generator, systems: int) -> list[Case]:
         level = (0.0, 0.01, 0.05)[i % 3]
         record = rx.Record(noisy(rng, level, w=motion[1, i], T=torque[i]), step)
         truth = {"J": float(inertia[i] + load[i]), "B": float(damping[i])}
-        found.append(Case("load on a spring", "mode left out", level, MOTOR, record, truth))
+        own = {"J": float(inertia[i])}
+        found.append(
+            Case("load on a spring", "mode left out", level, MOTOR, record, truth, beside_mode=own)
+        )
     return found
 
 

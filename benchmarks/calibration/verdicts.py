@@ -83,7 +83,9 @@ def judged(case: Case) -> list[Judged] | None:
             advised = rx.assess(case.model, case.record, case.criterion, follow=STEPS)
     except rx.RiecjaxError:
         return None
-    found = []
+    found, after = [], case.truth
+    if advised.model.modes:
+        after = {**case.truth, **case.beside_mode}
     for name, one in assessment.verdict.parameters.items():
         truth = case.truth[name]
         low, high = assessment.answer.interval(name)
@@ -98,7 +100,7 @@ def judged(case: Case) -> list[Judged] | None:
                 bool(low <= truth <= high),
                 bool(one.doubt[0] <= truth <= one.doubt[1]),
                 one.share,
-                float(advised.answer[name]) / truth - 1,
+                float(advised.answer[name]) / after[name] - 1,
                 len(advised.followed),
             )
         )

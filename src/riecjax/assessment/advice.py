@@ -114,8 +114,12 @@ def helps(before: Evidence, after: Evidence) -> bool:
     common = was.keys() & now.keys()
     if not common or any(_spoils(was[name], now[name]) for name in common):
         return False
-    fits = left_out(before.estimate), left_out(after.estimate)
-    if type(before.estimate.criterion) is type(after.estimate.criterion) and not fits[1] <= fits[0]:
+    ruled_out = {f.code for each in (before, after) for f in each.findings() if f.about.rules_out}
+    if ruled_out - {finding.code for finding in before.findings()}:
+        return False
+    # What is left over other windows is another thing.
+    laws = [each.estimate.criterion.describe() for each in (before, after)]
+    if laws[0] == laws[1] and left_out(after.estimate) > left_out(before.estimate):
         return False
     sizes = [np.log(min(of[name].share, 1.0)) for of in (was, now) for name in sorted(common)]
     return sum(sizes[len(common) :]) < sum(sizes[: len(common)])

@@ -27,7 +27,7 @@ from riecjax.assessment.refining import (
 )
 from riecjax.assessment.verdict import Verdict, verdict
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
-from riecjax.criteria.suited import criterion_for
+from riecjax.criteria.suited import criterion_for, suited
 from riecjax.doubts.check import (
     Check,
     check_recordings,
@@ -37,6 +37,7 @@ from riecjax.doubts.check import (
     raise_if_not_carried,
     read_of,
 )
+from riecjax.doubts.shared_parameters import refuted
 from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.errors import DataError, IdentifiabilityError, require
 from riecjax.estimation.constraints import Constraints
@@ -54,7 +55,7 @@ from riecjax.settings import Check as CheckSettings
 from riecjax.shows import Drawn, show
 from riecjax.summaries.summarise import ready, summarise
 from riecjax.uncertainty.intervals import AbstractIntervals, Naive, Sandwich, intervals_of
-from riecjax.validation.sweep import sweep_edges, sweep_of_sums
+from riecjax.validation.sweep import sweep_edges, sweep_of_sums, unlike_windows
 from riecjax.validation.tests import own_tests, residuals_tested
 
 if TYPE_CHECKING:
@@ -190,9 +191,13 @@ def _assessed(asked: Asked) -> Assessment:
     constraints = Constraints.of(table, *limits, refined=settings.refine not in by_windows)
 
     def again(
-        records: "list[Record]", model: Model = model, by: AbstractIntervals | None = None
+        records: "list[Record]",
+        model: Model = model,
+        by: AbstractIntervals | None = None,
+        criterion: AbstractCriterion = criterion,
     ) -> Estimate:
-        """What is estimated in the same way from other records, or by other equations."""
+        """What is estimated in the same way from other records, or by other equations or windows.
+        """
         summary = summarise(model, records, criterion, key=settings.key)
         return estimated(model, summary, table, by or Naive(), constraints)
 
@@ -229,11 +234,17 @@ def _assessed(asked: Asked) -> Assessment:
         if refined is None:
             of_sums.raise_if_refused()
         residuals = residuals_tested(
-            model, records, estimate, functools.partial(causes_found, checked, again)
+            model, records, estimate, functools.partial(causes_found, checked)
         )
         failures += at_rest_findings(
             model, records, estimate, lambda other: again(records, other, intervals)
         )
+        together = functools.partial(again, records, model.solved_together())
+        failures += refuted(model, records, estimate, together)
+        if criterion.windows is None:
+            with contextlib.suppress(DataError, IdentifiabilityError):
+                windows = suited(model, model.band, records)
+                failures += unlike_windows(estimate, again(records, criterion=windows))
         failures += [*residuals.findings, *_validated_on_fitted(fitted, further)]
         sweep = None
         if sweeps and table_of_data.free and summary.criterion.windows is not None:

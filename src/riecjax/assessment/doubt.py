@@ -19,7 +19,6 @@ with it look wrong as well.
 
 import contextlib
 import dataclasses
-import functools
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -187,10 +186,13 @@ class Doubt(NamedTuple):
 
     @property
     def is_wrong(self) -> bool:
-        """Whether what recordings show to be wrong is too much for a good value, and more than
-        scatter."""
-        shown = self.finding is not None and not self.finding.about.assumed
-        return shown and self.wrong > max(self.scatter, TRUSTED * abs(self.value))
+        """Whether the recordings show that all of it may be wrong; or that the model is, which is
+        too much for a good value and more than scatter."""
+        if self.finding is None or self.finding.about.assumed:
+            return False
+        of_model = self.finding.about.kind == "model"
+        least = max(self.scatter, TRUSTED * abs(self.value)) if of_model else abs(self.value)
+        return self.wrong > least or self.wrong == abs(self.value) > 0
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -204,26 +206,35 @@ def doubts(evidence: Evidence) -> dict[str, Doubt]:
     answer, found = evidence.answer, {}
     below, above = answer.uncertainty.reach(LEVEL)
     errors = np.asarray(answer.standard_errors)
-    # By parameter and code, what findings state in all, and the finding that states most.
-    stated: dict[str, dict[str, list[tuple[float, Finding]]]] = defaultdict(lambda: defaultdict(list))
+    # By parameter and code, what findings state of it.
+    stated: dict[str, dict[str, list[Finding]]] = defaultdict(lambda: defaultdict(list))
     for finding in evidence.findings():
         if (finding.doubt or finding.doubts) and evidence.concerns_answer(finding):
             for name in evidence.parameters_of(finding):
-                share = finding.doubts.get(name, finding.doubt)
-                stated[name][finding.code].append((share, finding))
+                stated[name][finding.code].append(finding)
     for name, low, high in zip(answer.parameters, below * errors, above * errors):
         value = float(answer[name])
-        every = stated[name].values()
-        worst = max(every, key=lambda some: sum(share for share, _ in some), default=[])
+        shares = {code: _stated(name, findings) for code, findings in stated[name].items()}
+        worst = max(shares, key=lambda code: shares[code], default="")
+        told = max(
+            stated[name].get(worst, ()), key=lambda f: f.doubts.get(name, f.doubt), default=None
+        )
         found[name] = Doubt(
             value=value,
             low=float(low),
             high=float(high),
-            wrong=sum(share for share, _ in worst) * abs(value),
-            finding=max(worst, key=lambda one: one[0])[1] if worst else None,
+            wrong=shares.get(worst, 0.0) * abs(value),
+            finding=told,
             finest=FINEST * abs(value),
         )
     return found
+
+
+def _stated(name: str, findings: Sequence[Finding]) -> float:
+    """What findings of one code state of a parameter: of several recordings `doubts` are the same,
+    since all are undone at once."""
+    together = max((finding.doubts.get(name, 0.0) for finding in findings), default=0.0)
+    return together + sum(finding.doubt for finding in findings if name not in finding.doubts)
 
 
 SPOILT = 0.1
@@ -232,26 +243,23 @@ SPOILT = 0.1
 
 def causes_found(
     checked: Check,
-    again: Callable[..., Estimate],
     model: Model,
     records: Sequence[Record],
     errors: Sequence[Sequence[EquationError]],
     estimate: Estimate,
 ) -> list[Finding]:
     """What explains most of what a model leaves: inputs that say nothing; else faults of sensors,
-    and terms that it lacks.
+    and terms that it lacks; and what the course of inputs between samples may do.
 
     Of signals that contradict each other, or are not what their sensors saw, an equation blames the
     wrong one: then nothing is looked for.
 
-    **Arguments:** what was `checked` before the fit; `again` estimates other equations of the
-    records in the same way; `errors` of each equation on each record.
+    **Arguments:** what was `checked` before the fit; `errors` of each equation on each record.
     """
     # Not earlier: who only checks recordings waits for none of these.
     from riecjax.discovery.candidate import lacked
     from riecjax.doubts.equation_faults import can_be_weighed, demanded, finding_of
     from riecjax.doubts.sampled_inputs import between_samples
-    from riecjax.doubts.shared_parameters import refuted
 
     silent = [*silent_inputs(model.equations, records, errors, estimate.criterion.windows)]
     if silent or not can_be_weighed(model, records, estimate):
@@ -264,9 +272,7 @@ def causes_found(
     ):
         return assumed
     causes = demanded(model, records, estimate, lacked)
-    found = [finding_of(cause, model, records) for cause in causes]
-    together = functools.partial(again, [*records], model.solved_together())
-    return [*assumed, *found, *refuted(model, records, estimate, together)]
+    return [*assumed, *(finding_of(cause, model, records) for cause in causes)]
 
 
 NOISE_ALONE = 0.8

@@ -263,15 +263,18 @@ class Weighing:
             after = dict(zip(names, again.fitted(names).tolist()))
         # Of delays that change the best is told.
         instead = [] if undone is not None and undone.course else causes.instead(chosen, doubt)
+        before = dict(zip(without, folds.fitted(without).tolist()))
+        moved = self._moved(after if undone is None else undone.values, before)
+        for other in instead:
+            names = causes.names([*beside, other])
+            again = self._moved(dict(zip(names, folds.fitted(names).tolist())), before)
+            moved = {name: max(share, again.get(name, 0.0), key=abs) for name, share in moved.items()}
         return Cause(
             doubt,
             after[doubt.name] if undone is None else undone.size,
             causes.rms(causes.left(beside)),
             causes.rms(causes.left(chosen)),
-            self._moved(
-                after if undone is None else undone.values,
-                dict(zip(without, folds.fitted(without).tolist())),
-            ),
+            moved,
             undone,
             offset=after[zeros[0].name] if zeros else 0.0,
             certain=causes.is_certain(chosen, doubt, instead),

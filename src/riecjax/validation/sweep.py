@@ -6,7 +6,7 @@ leaves out weighs differently at different lengths, and the estimates drift.
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import numpy as np
@@ -35,6 +35,9 @@ from riecjax.summaries.summarise import ready, summed, task
 from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.covariances import block_influence
 from riecjax.validation.residuals import LEVEL
+
+if TYPE_CHECKING:
+    from riecjax.estimation.estimate import Estimate
 
 # How estimates at two lengths are compared. Near the solution an estimate is a sum over blocks of
 # time, theta = theta_0 + sum_b d_b with the influence d_b = G^-1 A_b' e_b of each block (G the Gram
@@ -240,6 +243,32 @@ class WindowSweep(Drawn, eqx.Module):
 
     def _band(self, index: int) -> str:
         return f"{float(self.alpha[index]):.3g} to {float(self.beta[index]):.3g} s"
+
+
+def unlike_windows(estimate: "Estimate", over_windows: "Estimate") -> list[Finding]:
+    """`window_sensitive`, of an estimate without windows that differs from one over windows by more
+    than chance makes both."""
+    doubts = {}
+    for name in estimate.parameters:
+        value, other = float(estimate[name]), float(over_windows[name])
+        error = np.hypot(*(float(each.standard_error(name)) for each in (estimate, over_windows)))
+        if abs(value - other) > float(tails.normal(LEVEL / 2)) * error and value:
+            doubts[name] = abs(other / value - 1)
+    if not doubts:
+        return []
+    most = max(doubts, key=lambda name: doubts[name])
+    message = (
+        f"{most} is {float(estimate[most]):.4g} at single samples and {float(over_windows[most]):.4g} "
+        f"over windows, in which what the model leaves out averages out: take windows "
+        f"(--criterion riec)."
+    )
+    step = "Integrate over windows"
+    options = ("--criterion", "riec")
+    return [
+        Finding(
+            "window_sensitive", message, (), tuple(doubts), doubts=doubts, remedy=options, step=step
+        )
+    ]
 
 
 FEWEST_SAMPLES = 4
