@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from riecjax.assessment.doubt import Doubt, Evidence, doubts
+from riecjax.assessment.doubt import FINEST, Doubt, Evidence, doubts
 from riecjax.equations.model import Model
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import Estimate
@@ -37,13 +37,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Step:
-    """Something to do next: what for, the options of `riecjax identify` that do it, and the command
-    with them, where one is known; how parameters `changed` by it, where it was tried."""
+    """Something to do: what for, the options of `riecjax identify` that do it, and the command with
+    them, where one is known; values of parameters before and after, where it was tried."""
 
     words: str
     options: tuple[str, ...] = ()
     command: str | None = None
     changed: Mapping[str, tuple[float, float]] | None = field(default=None, compare=False)
+
+
+    @property
+    def said(self) -> str:
+        """What for, and what it does to the parameter that it changes most."""
+        shares = {
+            name: abs(after / size_of(before) - 1)
+            for name, (before, after) in (self.changed or {}).items()
+        }
+        most = max(shares, key=lambda name: shares[name], default="")
+        if not most or shares[most] < FINEST:
+            return self.words
+        before, after = (self.changed or {})[most]
+        return f"{self.words} ({most} goes from {before:.4g} to {after:.4g})"
 
 
 class Asked(NamedTuple):

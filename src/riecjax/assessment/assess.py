@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from jaxtyping import Array, Key
 
-from riecjax.assessment.advice import Asked, Step, tried
+from riecjax.assessment.advice import Asked, tried
 from riecjax.assessment.doubt import Evidence, causes_found, with_doubts
 from riecjax.assessment.refining import (
     Problem,
@@ -74,12 +74,10 @@ BYTES_PER_ROW = 320.0
 class Assessment(Evidence, Drawn):
     """An estimate, and how far to trust it; made by [`assess`][].
 
-    **Fields:** those of [`Evidence`][riecjax.assessment.doubt.Evidence], `key` of the windows, and
-    steps of advice that were `followed` to get here.
+    **Fields:** those of [`Evidence`][riecjax.assessment.doubt.Evidence], and `key` of the windows.
     """
 
     key: Key[Array, ""] | None = None
-    followed: tuple[Step, ...] = ()
 
     @property
     def refinement(self) -> Refinement | None:

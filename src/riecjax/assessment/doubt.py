@@ -67,7 +67,8 @@ class Evidence:
     - `estimate`.
     - `tests` that were asked for and could be made; `test` finds one by its name.
     - `failures`: findings on what could not be tested or simulated.
-    - `tried`: options to steps that were tried and help; `None` where none was tried.
+    - `tried`: options to steps that were tried and help; `None` where none was tried; and steps
+      that were `followed` to get here.
     """
 
     model: Model
@@ -78,6 +79,7 @@ class Evidence:
     tests: tuple[Test, ...] = ()
     failures: Sequence[Finding] = ()
     tried: "Mapping[tuple[str, ...], Step] | None" = None
+    followed: "Sequence[Step]" = ()
 
     def tried_step(self, step: "Step") -> "Step | None":
         """A step as it was tried; `None` of one that does not help."""

@@ -99,12 +99,13 @@ class Verdict(Shown):
     """Which parameters can be trusted, how far, and what to do about the rest.
 
     **Fields:** `sentence`; `parameters` by name; `causes`, findings grouped by what lies behind
-    them, first what does most to the parameters.
+    them, first what does most to the parameters; steps of advice that were `followed` before.
     """
 
     sentence: str
     parameters: Mapping[str, ParameterVerdict]
     causes: Sequence[Cause]
+    followed: Sequence[Step] = ()
 
 
 def verdict(evidence: Evidence) -> Verdict:
@@ -127,7 +128,7 @@ def verdict(evidence: Evidence) -> Verdict:
             doubt=doubt.ends,
             share=doubt.share,
         )
-    return Verdict(_sentence(judged), judged, grouped)
+    return Verdict(_sentence(judged), judged, grouped, evidence.followed)
 
 
 def _judged(name: str, doubt: Doubt, grouped: Sequence[Cause], widened: str) -> tuple[Level, str]:

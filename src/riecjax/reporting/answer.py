@@ -123,6 +123,7 @@ class VerdictPart(Part):
     parameters: dict[str, Judgement] = {}
     causes: list[CausePart] = []
     next: list[Step] = []
+    followed: list[Step] = []
 
 
 class StrayMode(Part):
@@ -580,6 +581,7 @@ def verdict_entries(verdict: "Verdict", with_options: WithOptions | None = None)
             for cause in verdict.causes
         ],
         "next": [*next_steps(verdict.causes, with_options)],
+        "followed": [*verdict.followed],
     }
 
 

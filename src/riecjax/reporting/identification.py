@@ -3,6 +3,7 @@
 The answer comes first, then what to do about it, and how it came about.
 """
 
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -64,8 +65,10 @@ def print_verdict(answer: Answer, console: Console) -> None:
     table = parameter_table(answer, columns, lambda ends: "?" if None in ends else dotted(ends))
     print_table(in_rich(table, columns[:3], STYLES), console)
     say(console, *reasons_in_words(verdict))
+    for step in verdict.followed:
+        say(console, "", f"Done: {step.said}, by {shlex.join(step.options)}.")
     for step in verdict.next:
-        say(console, "", f"{step.words}{':' if step.command else '.'}")
+        say(console, "", f"{step.said}{':' if step.command else '.'}")
         if step.command:
             # Not wrapped: a command is to be pasted.
             say(console, f"  {step.command}", wrapped=False)

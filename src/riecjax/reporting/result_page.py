@@ -68,7 +68,11 @@ def identification_page(answer: Answer, tests: Sequence[Test] = ()) -> Page:
         "Verdict",
         [
             *(
-                f"{step.words}: {step.command}" if step.command else f"{step.words}."
+                f"Done: {step.said}, by {' '.join(step.options)}."
+                for step in answer.verdict.followed
+            ),
+            *(
+                f"{step.said}: {step.command}" if step.command else f"{step.said}."
                 for step in answer.verdict.next
             ),
             f"Where {'; '.join(answer.equations)}.",

@@ -279,4 +279,4 @@ def _(thing: Verdict) -> View:
 
 
 def _to_do(steps: Iterable[Step]) -> list[str]:
-    return [f"to do: {step.words} {' '.join(step.options)}".rstrip() for step in steps]
+    return [f"to do: {step.said} {' '.join(step.options)}".rstrip() for step in steps]
