@@ -78,11 +78,11 @@ class Judged(NamedTuple):
 def judged(case: Case) -> list[Judged] | None:
     """Verdicts on a case's parameters; `None` where there is no answer."""
     try:
-        assessment = advised = rx.assess(case.model, case.record, case.criterion)
-        if assessment.tried:
-            advised = rx.assess(case.model, case.record, case.criterion, follow=STEPS)
+        advised = assessment = rx.assess(case.model, case.record, case.criterion, follow=STEPS)
     except rx.RiecjaxError:
         return None
+    while assessment.before is not None:
+        assessment = assessment.before
     found, after = [], case.truth
     if advised.model.modes:
         after = {**case.truth, **case.beside_mode}

@@ -126,7 +126,9 @@ def helps(before: Evidence, after: Evidence) -> bool:
     """Whether a step from one assessment to another makes it better."""
     was, now = doubts(before), doubts(after)
     common = was.keys() & now.keys()
-    if not common or any(_spoils(was[name], now[name]) for name in common):
+    # Of a body that carries a hidden one, its own mass is another thing than that of both.
+    is_split = after.model.has_hidden and not before.model.has_hidden
+    if not common or any(_spoils(was[name], now[name], is_split) for name in common):
         return False
     ruled_out = {f.code for each in (before, after) for f in each.findings() if f.about.rules_out}
     if ruled_out - {finding.code for finding in before.findings()}:
@@ -139,9 +141,10 @@ def helps(before: Evidence, after: Evidence) -> bool:
     return sum(sizes[len(common) :]) < sum(sizes[: len(common)])
 
 
-def _spoils(was: Doubt, now: Doubt) -> bool:
-    """Whether a value that was good is good no more, or leaves its doubt."""
-    return was.is_good and not (now.is_good and was.ends[0] <= now.value <= was.ends[1])
+def _spoils(was: Doubt, now: Doubt, may_leave: bool) -> bool:
+    """Whether a value that was good is good no more, or leaves its doubt, unless it may."""
+    stays = may_leave or was.ends[0] <= now.value <= was.ends[1]
+    return was.is_good and not (now.is_good and stays)
 
 
 def tried(

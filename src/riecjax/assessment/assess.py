@@ -74,10 +74,12 @@ BYTES_PER_ROW = 320.0
 class Assessment(Evidence, Drawn):
     """An estimate, and how far to trust it; made by [`assess`][].
 
-    **Fields:** those of [`Evidence`][riecjax.assessment.doubt.Evidence], and `key` of the windows.
+    **Fields:** those of [`Evidence`][riecjax.assessment.doubt.Evidence], `key` of the windows, and
+    the assessment `before` the last step that was followed.
     """
 
     key: Key[Array, ""] | None = None
+    before: "Assessment | None" = None
 
     @property
     def refinement(self) -> Refinement | None:
@@ -137,19 +139,20 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
     """
     model = as_model(model)
     asked = Asked(model, ready(model, recordings, settings.noise), settings)
-    assessment, steps = _assessed(asked), []
+    assessment, steps, before = _assessed(asked), [], None
     for number in range(settings.follow + 1):
         trial = functools.partial(_trial, asked)
         helping = [*tried(assessment, trial)]
+        steps_that_help = {step.options: step for step, _ in helping}
         assessment = replace(
-            assessment, tried={step.options: step for step, _ in helping}, followed=(*steps,)
+            assessment, tried=steps_that_help, followed=(*steps,), before=before
         )
         if number == settings.follow or not helping:
             break
         step, _ = helping[0]
         asked = asked.with_options(step.options)
         steps.append(step)
-        assessment = _assessed(asked)
+        before, assessment = assessment, _assessed(asked)
     return assessment
 
 

@@ -378,7 +378,8 @@ def demanded(
 def _matters(cause: Cause, estimate: Estimate) -> bool:
     """Whether it moves some parameter by more than chance does; a term, or what leaves much,
     matters in any case."""
-    if cause.doubt.term is not None or cause.before > NOTABLE:
+    is_term = cause.doubt.term is not None and not cause.admitted
+    if is_term or cause.before > NOTABLE:
         return True
     errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors, float)))
     moved = {n: share * float(estimate[n]) for n, share in cause.moved.items() if n in errors}

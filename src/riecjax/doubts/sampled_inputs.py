@@ -29,7 +29,7 @@ from riecjax.records.record import Record
 LEFT = 1 / 3
 """Share of the error of a third of the rate that the whole rate leaves, of jumps."""
 NOTABLE = 0.01
-"""Share of a value from which it is told."""
+"""Share of a value from which it is told, where it is more than scatter as well."""
 
 
 def _third(samples: Samples, shape: Callable[[Samples], Samples]) -> Samples:
@@ -66,7 +66,7 @@ def between_samples(model: Model, records: Sequence[Record], estimate: Estimate)
         shares = {}
         for name, move in zip(base, np.hypot(*along.T).tolist()):
             name = name.partition(".")[2]
-            if name in asked.values and asked.values[name]:
+            if name in estimate.parameters and LEFT * abs(move) > estimate.standard_error(name):
                 shares.setdefault(name, LEFT * abs(move / asked.values[name]))
         if max(shares.values(), default=0.0) > NOTABLE:
             signals += doubt.signals
