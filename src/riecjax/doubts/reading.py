@@ -10,13 +10,14 @@ from riecjax.doubts.kinematics import GROSS, UNRELATED, Compared, compare, findi
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import as_model
 from riecjax.errors import DataError
-from riecjax.findings import Finding
+from riecjax.findings import Finding, joined
+from riecjax.records.derived import names_in
 from riecjax.records.faults.signals import holding
 from riecjax.records.preparation.resampling import shift
 from riecjax.records.record import Record
 from riecjax.records.recording import Aligned, Recording, every_recording, only_recording
 from riecjax.records.relations import Pairs, relations
-from riecjax.settings import Reading, taking
+from riecjax.settings import Prepare, Reading, taking
 
 
 def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Aligned:
@@ -152,6 +153,21 @@ def read_recordings(path: str | os.PathLike[str], settings: Reading) -> list[Rec
 
 
 def _of_model(settings: Reading) -> Reading:
-    """With the model of an equation."""
+    """With the model of an equation.
+
+    **Raises:** `DataError` for a step of preparation of a signal that only formulas read, and that
+    comes after these.
+    """
     is_one = isinstance(settings.model, Equation)
-    return dataclasses.replace(settings, model=as_model(settings.model)) if is_one else settings
+    model = as_model(settings.model) if is_one else settings.model
+    read = set() if model is None else {signal.name for signal in model.signals}
+    steps = {name: option for name, option in Prepare.options().items() if option.shape == "named"}
+    for field, option in steps.items() if model is not None else ():
+        for name in {*getattr(settings, field)} - read - {*settings.derive}:
+            of = [new for new, formula in settings.derive.items() if name in names_in(formula)]
+            if of:
+                raise DataError(
+                    f"{option.flag} of {name} comes after {joined(of)}, which is computed from it, "
+                    f"and the model reads {joined(of)} alone: name {of[0]} instead."
+                )
+    return dataclasses.replace(settings, model=model)

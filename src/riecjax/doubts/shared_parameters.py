@@ -15,7 +15,7 @@ import numpy as np
 
 from riecjax.doubts.causes import FEWEST, LEVEL
 from riecjax.doubts.columns import Asked, folds_of
-from riecjax.doubts.equation_faults import can_be_weighed
+from riecjax.doubts.equation_faults import MOVES, can_be_weighed
 from riecjax.equations.model import Model
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.estimate import Estimate
@@ -55,19 +55,22 @@ def refuted(
     doubts = {
         name: abs(float(other[name]) / float(estimate[name]) - 1)
         for name in estimate.parameters
-        if float(estimate[name])
+        if abs(float(other[name] - estimate[name])) > MOVES * estimate.standard_error(name)
+        and float(estimate[name])
     }
+    if not doubts:
+        return []
     most = max(doubts, key=lambda name: doubts[name])
     left, of_other = (_left_by(one) for one in (estimate, other))
     better = sum(of_other.values()) < sum(left.values())
     listed = joined(
         [f"{in_percent(of_other[n])} of {n} instead of {in_percent(left[n])}" for n in left]
     )
-    trusted = "that is to be trusted" if better else "the first stage is nearer to the truth"
+    trusted = "so that these are the values to trust" if better else "which is no better"
     message = (
-        f"{says} as earlier equations found them. Solved together, the equations leave {listed}, "
-        f"so that {trusted}; {most} is then {float(other[most]):.4g} instead of "
-        f"{float(estimate[most]):.4g}."
+        f"{says} as earlier equations found them. Solved together, {most} is "
+        f"{float(other[most]):.4g} instead of {float(estimate[most]):.4g}, and the equations leave "
+        f"{listed}, {trusted}."
     )
     return [
         Finding(

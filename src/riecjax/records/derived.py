@@ -1,6 +1,7 @@
 """Signals computed from others by a formula of the user's: `35.15 * vir - mean(vir)`."""
 
 import ast
+import re
 import warnings
 from collections.abc import Callable, Mapping
 
@@ -62,6 +63,11 @@ def derived(formula: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
         raise ModelError(f"the formula {formula[:40]!r}... is nested too deep.") from None
     length = next((values.size for values in columns.values()), 1)
     return np.array(np.broadcast_to(value, (length,)), dtype=float)
+
+
+def names_in(formula: str) -> set[str]:
+    """Names of columns and functions in a formula."""
+    return {*re.findall(r"[^\W\d]\w*", formula)}
 
 
 def sensitivities(
