@@ -188,7 +188,7 @@ CODES: dict[str, FindingClass] = {
     "nothing_cut": _sensors("a cut removes nothing"),
     "file_changed": _sensors("a file is not the one that was read before"),
     "rows_left_out": _sensors("windows that touch a missing sample are left out"),
-    "stages_disagree": _model("later equations refute what earlier ones found"),
+    "stages_disagree": _model("later equations refute what earlier ones found", disorder=True),
     "missing_term": _model("the model lacks a term", blames_model=True),
     "unmodelled_mode": _model("the model leaves out a mode", blames_model=True),
     "unexplained": _model("the model leaves more than noise", blames_model=True),

@@ -227,6 +227,9 @@ def _assessed(asked: Asked) -> Assessment:
 
         checked = check_recordings(model, as_recordings(records), table_of_data, linear, of_sums)
         checked = with_doubts(checked, estimate, model, records, again)
+        together = functools.partial(again, records, model.solved_together())
+        disagreeing = refuted(model, records, estimate, together)
+        checked = replace(checked, findings=[*checked.findings, *disagreeing])
         unseen = [*(Track(part, number) for number, part in enumerate(held)), *map(Track, further)]
         problem = Problem(model, fitted, unseen, settings)
         refinement, validation = answered(problem, estimate, refusal is not None)
@@ -240,8 +243,6 @@ def _assessed(asked: Asked) -> Assessment:
         failures += at_rest_findings(
             model, records, estimate, lambda other: again(records, other, intervals)
         )
-        together = functools.partial(again, records, model.solved_together())
-        failures += refuted(model, records, estimate, together)
         if criterion.windows is None:
             with contextlib.suppress(DataError, IdentifiabilityError):
                 windows = suited(model, model.band, records)
