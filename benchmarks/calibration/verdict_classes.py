@@ -162,9 +162,7 @@ def lever_arm(rng: np.random.Generator, systems: int) -> list[Case]:
 
     def rates(state: State, at: float) -> State:
         f, r, vx = slips(state, at)
-        return np.stack(
-            [(f + r) / MASS - state[1] * vx, (FRONT_ARM * f - REAR_ARM * r) / inertia]
-        )
+        return np.stack([(f + r) / MASS - state[1] * vx, (FRONT_ARM * f - REAR_ARM * r) / inertia])
 
     motion = integrated(rates, np.zeros((2, systems)), step, samples)
     time = step * np.arange(samples)

@@ -147,7 +147,7 @@ def figures(every: Sequence[Judged]) -> dict[str, float]:
         ),
         "near, before advice": share(every, lambda j: abs(j.error) <= CLOSE),
         "near, after advice": share(every, lambda j: abs(j.advised) <= CLOSE),
-        "good, made worse by a step": sum(map(_made_worse, every)) / max(sum(j.steps for j in every), 1),
+        "good, made worse by a step": share([j for j in every if j.steps], _made_worse),
     }
 
 
@@ -217,5 +217,5 @@ def main(systems: int = 5, seed: int = 2, only: tuple[str, ...] = (*CLASSES, *FA
 
 def rounded(some: Sequence[Judged]) -> dict[str, float | None]:
     """The figures of some verdicts, and how many there are."""
-    found = {key: None if value != value else round(value, 3) for key, value in figures(some).items()}
-    return {"values": len(some), **found}
+    found = figures(some).items()
+    return {"values": len(some)} | {k: None if v != v else round(v, 3) for k, v in found}

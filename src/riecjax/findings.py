@@ -38,11 +38,8 @@ class FindingClass(NamedTuple):
       which needs no derivative, may have one; `explains_refusal`: said in place of a refusal.
     - `rules_out`: the parameters that it names are not to be used, whatever their doubt;
       `symptom`: what makes it so is another cause, if one is known.
-    - `blames_model`: what equations of these parameters leave is the model's doing.
-    - `widens`: scatter of the parameters that it names is no chance; `short`: the record is short;
-      `collinear`: little or nothing tells parameters apart.
+    - `widens`: scatter of the parameters that it names is no chance; `short`: the record is short.
     - `assumed`: nothing recorded shows it, and nothing rules it out.
-    - `of_size`: of the size of errors, which a part that all of them share may make.
     - `undo`: its remedy takes the fault off a record, to say how far parameters move; `holds`: the
       signal holds its value for a while, and `feigned`: what such a signal seems to have as well.
     - `disorder`: sensors of one motion do not go together, so that no term is to be looked for.
@@ -56,12 +53,9 @@ class FindingClass(NamedTuple):
     explains_refusal: bool = False
     rules_out: bool = False
     symptom: bool = False
-    blames_model: bool = False
     widens: bool = False
     short: bool = False
-    collinear: bool = False
     assumed: bool = False
-    of_size: bool = False
     undo: bool = False
     holds: bool = False
     feigned: bool = False
@@ -135,7 +129,6 @@ CODES: dict[str, FindingClass] = {
         "the recordings cannot tell {parameters} apart",
         refuses="windows",
         rules_out=True,
-        collinear=True,
     ),
     "undetermined": _undetermined("the recordings say nothing of {parameters}", rules_out=True),
     "mode_not_carried": _undetermined("the recordings carry no such mode", rules_out=True),
@@ -189,15 +182,13 @@ CODES: dict[str, FindingClass] = {
     "file_changed": _sensors("a file is not the one that was read before"),
     "rows_left_out": _sensors("windows that touch a missing sample are left out"),
     "stages_disagree": _model("later equations refute what earlier ones found", disorder=True),
-    "missing_term": _model("the model lacks a term", blames_model=True),
-    "unmodelled_mode": _model("the model leaves out a mode", blames_model=True),
-    "unexplained": _model("the model leaves more than noise", blames_model=True),
-    "large_residual": _model("the model leaves more than half of the signal", of_size=True),
-    "hysteresis": _model(
-        "what the model leaves depends on the way that the motion came", blames_model=True
-    ),
-    "window_sensitive": _model("estimates drift with window length", blames_model=True),
-    "uneven_errors": _model("errors differ much along the record", of_size=True),
+    "missing_term": _model("the model lacks a term"),
+    "unmodelled_mode": _model("the model leaves out a mode"),
+    "unexplained": _model("the model leaves more than noise"),
+    "large_residual": _model("the model leaves more than half of the signal"),
+    "hysteresis": _model("what the model leaves depends on the way that the motion came"),
+    "window_sensitive": _model("estimates drift with window length"),
+    "uneven_errors": _model("errors differ much along the record"),
     "does_not_predict": _model("the model does not predict"),
     "records_disagree": _model("the recordings disagree", widens=True),
     "no_known_term": _model("no term of an equation is known"),
@@ -207,8 +198,8 @@ CODES: dict[str, FindingClass] = {
         step="Compare simulations, which need no derivative",
         options=("--refine", "output-error"),
     ),
-    "nearly_collinear": _data("little tells {parameters} apart", collinear=True, step=RICHER),
-    "ill_conditioned": _data("little tells some parameters apart", collinear=True, step=RICHER),
+    "nearly_collinear": _data("little tells {parameters} apart", step=RICHER),
+    "ill_conditioned": _data("little tells some parameters apart", step=RICHER),
     "few_blocks": _data(
         "few stretches of the record tell of {parameters}", short=True, step=LONGER
     ),

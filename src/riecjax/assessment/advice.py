@@ -45,7 +45,6 @@ class Step:
     command: str | None = None
     changed: Mapping[str, tuple[float, float]] | None = field(default=None, compare=False)
 
-
     @property
     def said(self) -> str:
         """What for, and what it does to the parameter that it changes most."""

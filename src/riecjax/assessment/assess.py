@@ -144,9 +144,7 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
         trial = functools.partial(_trial, asked)
         helping = [*tried(assessment, trial)]
         steps_that_help = {step.options: step for step, _ in helping}
-        assessment = replace(
-            assessment, tried=steps_that_help, followed=(*steps,), before=before
-        )
+        assessment = replace(assessment, tried=steps_that_help, followed=(*steps,), before=before)
         if number == settings.follow or not helping:
             break
         step, _ = helping[0]
@@ -197,8 +195,7 @@ def _assessed(asked: Asked) -> Assessment:
         by: AbstractIntervals | None = None,
         criterion: AbstractCriterion = criterion,
     ) -> Estimate:
-        """What is estimated in the same way from other records, or by other equations or windows.
-        """
+        """What is estimated in the same way from other records, or by other equations or windows."""
         summary = summarise(model, records, criterion, key=settings.key)
         return estimated(model, summary, table, by or Naive(), constraints)
 

@@ -33,7 +33,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding, class_of, in_percent
+from riecjax.findings import Finding, in_percent
 from riecjax.leaves import size_of
 from riecjax.records.preparation.steps import undone
 from riecjax.records.record import Record

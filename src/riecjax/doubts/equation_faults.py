@@ -268,7 +268,7 @@ class Weighing:
         for other in instead:
             names = causes.names([*beside, other])
             again = self._moved(dict(zip(names, folds.fitted(names).tolist())), before)
-            moved = {name: max(share, again.get(name, 0.0), key=abs) for name, share in moved.items()}
+            moved = {n: max(share, again.get(n, 0.0), key=abs) for n, share in moved.items()}
         return Cause(
             doubt,
             after[doubt.name] if undone is None else undone.size,

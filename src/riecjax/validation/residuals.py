@@ -430,8 +430,6 @@ NOTABLE_RATIO = 10.0
 """Mean square errors of the loudest and the quietest stretch that are uneven: 3.2 in rms."""
 RARE = 0.01
 """Probability by chance below which stretches are called uneven."""
-NOTABLE_SHARED = 0.1
-"""Epsilon that is no longer much smaller than one; chance seldom makes ten times T / t_max."""
 
 
 class EquationResidual(NamedTuple):
@@ -524,26 +522,6 @@ class EquationResidual(NamedTuple):
                 f"stretch (the signal {louder}), so the estimate depends on it. See "
                 f"what differs there; leave it out, or identify the stretches one by one.",
             )
-        if self.has_constant_part:
-            yield Finding(
-                "uneven_errors",
-                f"{self.name}: errors of windows share a constant part (correlation "
-                f"{errors.correlation:.2g} between windows drawn at random), which more windows "
-                f"do not average out. Remove the sensors' offsets, estimate that of the input "
-                f"(--unknown-offset SIGNAL), or add a term rx.Term('offset', rx.constant); where "
-                f"it may differ between recordings, give each its own: per_record=('offset',) "
-                f"(--per-record offset).",
-            )
-
-    @property
-    def has_constant_part(self) -> bool:
-        """Whether the errors of all windows have a part in common, as the offset of a sensor."""
-        errors = self.windows
-        return (
-            errors is not None
-            and errors.relative_rms >= NOTABLE_SIZE
-            and errors.correlation > max(NOTABLE_SHARED, 10 * errors.window_share)
-        )
 
     def entry(self) -> dict[str, Any]:
         """Numbers of the tests, without the series, as plain data for JSON."""

@@ -184,7 +184,8 @@ class WindowSweep(Drawn, eqx.Module):
             makes = f"{cause}: the" if share > SMALL_NOISE else "The"
             cause = f"{makes} model leaves something out"
         message = f"{course}. {steadiness}. {cause}."
-        doubts = {name: self.away(name, self.answer[name]) / size_of(self.answer[name]) for name in names}
+        values = {name: self.answer[name] for name in names}
+        doubts = {name: self.away(name, value) / size_of(value) for name, value in values.items()}
         found = Finding("window_sensitive", message, parameters=tuple(names), doubts=doubts)
         if share > MOST:
             step = "Take smooth windows, which read positions alone"
@@ -257,10 +258,10 @@ def unlike_windows(estimate: "Estimate", over_windows: "Estimate") -> list[Findi
     if not doubts:
         return []
     most = max(doubts, key=lambda name: doubts[name])
+    single, other = (f"{float(each[most]):.4g}" for each in (estimate, over_windows))
     message = (
-        f"{most} is {float(estimate[most]):.4g} at single samples and {float(over_windows[most]):.4g} "
-        f"over windows, in which what the model leaves out averages out: take windows "
-        f"(--criterion riec)."
+        f"{most} is {single} at single samples and {other} over windows, in which what the model "
+        f"leaves out averages out: take windows (--criterion riec)."
     )
     step = "Integrate over windows"
     options = ("--criterion", "riec")
