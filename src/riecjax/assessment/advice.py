@@ -14,7 +14,7 @@ both, and what would tell them apart.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -79,7 +79,7 @@ class Asked(NamedTuple):
             else:
                 said[flag].append(word)
 
-        def of(kind: type) -> dict[str, object]:
+        def of(kind: type) -> dict[str, Any]:
             options: dict[str, Option] = kind.options()
             return {
                 name: option.parsed(*said[option.flag]) if said[option.flag] else True

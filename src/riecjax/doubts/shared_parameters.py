@@ -9,7 +9,6 @@ equations, as shares of their targets, is the answer to trust.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -104,8 +103,8 @@ def _refuted_by(
     mix = np.eye(1 + len(folds.parameters))
     columns = [f"{number}.{name}" for name in sorted(shared)]
     mix[0, folds.columns(columns)] = [-asked.values[name] for name in sorted(shared)]
-    parts: Any = (mix @ of @ mix.T for of in (folds.samples, folds.motion))
-    less = Folds(*parts, folds.parameters)
+    samples, motion = (mix @ of @ mix.T for of in (folds.samples, folds.motion))
+    less = Folds(samples, motion, folds.parameters)
     own = [name for name in folds.parameters if name not in columns]
     told = zip(sorted(shared), less.beside(own, columns))
     return [name for name, one in told if one.chance * len(columns) < LEVEL]

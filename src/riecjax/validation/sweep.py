@@ -252,7 +252,8 @@ def unlike_windows(estimate: "Estimate", over_windows: "Estimate") -> list[Findi
     doubts = {}
     for name in estimate.parameters:
         value, other = float(estimate[name]), float(over_windows[name])
-        error = np.hypot(*(float(each.standard_error(name)) for each in (estimate, over_windows)))
+        errors = (float(each.standard_error(name)) for each in (estimate, over_windows))
+        error = float(np.linalg.norm([*errors]))
         if abs(value - other) > float(tails.normal(LEVEL / 2)) * error and value:
             doubts[name] = abs(other / value - 1)
     if not doubts:

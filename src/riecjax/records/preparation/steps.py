@@ -1,7 +1,6 @@
 """From a record as read to the records that a model's equations are estimated and validated on."""
 
 import contextlib
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -117,10 +116,10 @@ def undone(record: Record, remedies: Iterable[tuple[str, ...]]) -> Record:
     given = {
         name: option.parsed(*said[option.flag]) for name, option in options if option.flag in said
     }
-    factors = Counter(given.pop("scale", {}))
+    factors = dict[str, float](given.pop("scale", {}))
     for name, unit in given.pop("units", {}).items():
         (one, *_) = readings(unit).values()
-        factors[name] = (factors[name] or 1.0) * one.factor
+        factors[name] = factors.get(name, 1.0) * one.factor
     record = record.with_signals({n: by * record.signal(n) for n, by in factors.items()})
     return prepare(record, {}, Prepare(**given))[0]
 
