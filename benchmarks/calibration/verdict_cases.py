@@ -6,6 +6,7 @@ noise and one fault at most, and described by a model that is right or leaves on
 """
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -105,7 +106,7 @@ class Case(NamedTuple):
     record: rx.Record | list[rx.Record]
     truth: dict[str, float]
     criterion: rx.RIEC | None = None
-    beside_mode: dict[str, float] = {}
+    beside_mode: Mapping[str, float] = MappingProxyType({})
 
 
 def draw(kind: Kind, rng: np.random.Generator, systems: int) -> Values:

@@ -147,12 +147,13 @@ CAR = rx.staged(
 )
 
 
-def lever_arm(rng: np.random.Generator, systems: int) -> list[Case]:
+def lever_arm(rng: np.random.Generator, systems: int, ahead: float | None = None) -> list[Case]:
     """A car by its single-track model, the accelerometer ahead of the mass centre or behind it."""
     step, samples = 0.01, 6000
     inertia = rng.uniform(1800, 3200, systems)
     front, rear = rng.uniform(6e4, 1.2e5, systems), rng.uniform(9e4, 1.6e5, systems)
-    ahead = rng.uniform(0.2, 0.8, systems) * rng.choice([-1, 1], systems)
+    lever = rng.uniform(0.2, 0.8, systems) * rng.choice([-1, 1], systems)
+    lever = lever if ahead is None else np.full(systems, ahead)
     speed, steering = rng.uniform(15, 25, systems), sines(rng, systems, 0.1, 2.5)
 
     def slips(state: State, at: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -174,7 +175,7 @@ def lever_arm(rng: np.random.Generator, systems: int) -> list[Case]:
         delta = 0.012 * steering(time)[i]
         f = front[i] * (delta - (vy + FRONT_ARM * r) / vx)
         b = -rear[i] * (vy - REAR_ARM * r) / vx
-        seen = (f + b) / MASS + ahead[i] * (FRONT_ARM * f - REAR_ARM * b) / inertia[i]
+        seen = (f + b) / MASS + lever[i] * (FRONT_ARM * f - REAR_ARM * b) / inertia[i]
         rows = noisy(rng, level, delta=delta, r=r, ay=seen, vx=vx, vy=vy)
         truth = {"Cf": float(front[i]), "Cr": float(rear[i]), "Iz": float(inertia[i])}
         found.append(Case("lever arm", "wrong stage", level, CAR, rx.Record(rows, step), truth))
@@ -184,8 +185,8 @@ def lever_arm(rng: np.random.Generator, systems: int) -> list[Case]:
 BODY = KINDS[0].model
 
 
-def short_pulses(rng: np.random.Generator, systems: int) -> list[Case]:
-    """A mass on a spring, struck by a hammer whose pulses last one to four samples.
+def short_pulses(rng: np.random.Generator, systems: int, shortest: float = 1.2) -> list[Case]:
+    """A mass on a spring, struck by a hammer whose pulses last from `shortest` to four samples.
 
     Of every other one all pulses begin at the same place between samples, as of a trigger.
     """
@@ -194,7 +195,7 @@ def short_pulses(rng: np.random.Generator, systems: int) -> list[Case]:
     omega = 2 * np.pi * log_uniform(rng, 2, 8, systems)
     damping = 2 * rng.uniform(0.03, 0.1, systems) * omega * mass
     stiffness = mass * omega**2
-    width = step * rng.uniform(1.2, 4, systems)
+    width = step * rng.uniform(shortest, 4, systems)
     peak = 20 * mass * rng.uniform(0.8, 1.2, (blows, systems)) * 2 * step / width
     starts = 0.3 + np.arange(blows)[:, None] + rng.uniform(0, 0.3, (blows, systems))
     triggered = 2 * step * np.round(starts / (2 * step)) + rng.uniform(0, step, systems)
@@ -399,7 +400,8 @@ CLASSES = {
 """Each with as many systems as make so many values."""
 
 
-def class_cases(name: str, seed: int) -> list[Case]:
-    """The cases of a class."""
+def class_cases(name: str, seed: int, most: int | None = None, **asked: float) -> list[Case]:
+    """The cases of a class, or fewer of them; what is `asked` of its machines beside."""
     make, systems = CLASSES[name]
-    return make(np.random.default_rng([seed, [*CLASSES].index(name)]), systems)
+    rng = np.random.default_rng([seed, [*CLASSES].index(name)])
+    return make(rng, min(most or systems, systems), **asked)

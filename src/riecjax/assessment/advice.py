@@ -75,9 +75,8 @@ class Asked(NamedTuple):
         for word in words:
             if word.startswith("--"):
                 said.setdefault(word, [])
-                flag = word
             else:
-                said[flag].append(word)
+                said[[*said][-1]].append(word)
 
         def of(kind: type) -> dict[str, Any]:
             options: dict[str, Option] = kind.options()
@@ -95,7 +94,7 @@ class Asked(NamedTuple):
                 replace(
                     one,
                     record=undone(one.record, pairs),
-                    findings=tuple(f for f in one.findings if not f.about.kind == "sensors"),
+                    findings=tuple(f for f in one.findings if f.about.kind != "sensors"),
                     kinematics=(),
                 )
                 for one in recordings

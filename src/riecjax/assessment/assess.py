@@ -195,7 +195,7 @@ def _assessed(asked: Asked) -> Assessment:
         by: AbstractIntervals | None = None,
         criterion: AbstractCriterion = criterion,
     ) -> Estimate:
-        """What is estimated in the same way from other records, or by other equations or windows."""
+        """What is estimated in the same way from other records, equations or windows."""
         summary = summarise(model, records, criterion, key=settings.key)
         return estimated(model, summary, table, by or Naive(), constraints)
 
