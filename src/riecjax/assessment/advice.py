@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from riecjax.assessment.doubt import FINEST, Doubt, Evidence, doubts
+from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.model import Model
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import Estimate
@@ -100,8 +101,16 @@ class Asked(NamedTuple):
                 for one in recordings
             ]
         fitted = of(Assess)
-        if "alpha" in fitted or "beta" in fitted or "test_function" in fitted:
-            fitted = {"criterion": None, "band": None, **fitted}
+        given = self.settings.criterion
+        changes = {"alpha", "beta", "test_function"} & fitted.keys()
+        if changes or (model.has_hidden and not self.model.has_hidden):
+            # Windows of the same reach, as suit what is asked for.
+            windows = given.windows if isinstance(given, AbstractCriterion) else None
+            own = () if windows is None else ("alpha", "beta")
+            reach = {name: float(getattr(windows, name)) for name in own}
+            fitted = (
+                {"criterion": None, "band": None if own else self.settings.band} | reach | fitted
+            )
         return Asked(model, recordings, replace(self.settings, **fitted))
 
 

@@ -56,6 +56,8 @@ MOVES = 1.0
 """Standard errors by which a cause moves some parameter at the least."""
 NOTABLE = 0.02
 """Rms that is left, over the target's, from which a cause matters whatever it moves."""
+FINEST = 1e-3
+"""Share of a value below which nothing is claimed: no criterion integrates samples better."""
 SLIGHT = 1e-3
 """Share of a drift that an offset beside it is at the least."""
 NEAR = 8
@@ -379,6 +381,8 @@ def _matters(cause: Cause, estimate: Estimate) -> bool:
     """Whether it moves some parameter by more than chance does; a term, or what leaves much,
     matters in any case."""
     is_term = cause.doubt.term is not None and not cause.admitted
+    if cause.admitted and max(map(abs, cause.moved.values()), default=0.0) < FINEST:
+        return False
     if is_term or cause.before > NOTABLE:
         return True
     errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors, float)))
