@@ -32,13 +32,15 @@ MOST_PARAMETERS = 7
 MOST_IMPORTS = 12
 MANY_PARAMETERS: dict[str, int] = {}
 MANY_IMPORTS = {
-    "riecjax.assessment.assess": 26,
-    "riecjax.assessment.doubt": 19,
+    "riecjax.assessment.advice": 13,
+    "riecjax.assessment.assess": 28,
     "riecjax.assessment.output_error_search": 14,
     "riecjax.discovery.candidate": 13,
     "riecjax.discovery.discover": 22,
     "riecjax.doubts.check": 21,
+    "riecjax.doubts.demands": 13,
     "riecjax.doubts.kinematics": 20,
+    "riecjax.doubts.reading": 13,
     "riecjax.estimation.identify": 22,
     "riecjax.records.recording": 14,
     "riecjax.refinement.output_error": 14,

@@ -8,6 +8,7 @@ own registers its codes by `CODES["rattle"] = FindingClass("sensors", "{signals}
 
 import functools
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, SupportsFloat, get_args
 
 Kind = Literal["undetermined", "sensors", "model", "noise", "data", "computation", "reproduction"]
@@ -102,6 +103,36 @@ class Finding(NamedTuple):
         """The place of its code among `CODES`, behind all of them if it is not registered."""
         codes = [*CODES]
         return codes.index(self.code) if self.code in CODES else len(codes)
+
+
+FINEST = 1e-3
+"""Share of a value below which nothing is claimed: no criterion integrates samples, and no sensor
+is calibrated, better."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """Something to do: what for, the options of `riecjax identify` that do it, and the command with
+    them, where one is known; values of parameters before and after, where it was tried."""
+
+    words: str
+    options: tuple[str, ...] = ()
+    command: str | None = None
+    changed: Mapping[str, tuple[float, float]] | None = field(default=None, compare=False)
+
+    @property
+    def said(self) -> str:
+        """What for, and what it does to the parameter that it changes most."""
+        shares = {
+            name: abs(after / before - 1)
+            for name, (before, after) in (self.changed or {}).items()
+            if before
+        }
+        most = max(shares, key=lambda name: shares[name], default="")
+        if not most or shares[most] < FINEST:
+            return self.words
+        before, after = (self.changed or {})[most]
+        return f"{self.words} ({most} goes from {before:.4g} to {after:.4g})"
 
 
 def class_of(code: str) -> FindingClass:

@@ -8,7 +8,7 @@ from tests.machines import BODY, STANDARD
 from tests.machines import body_with_mode as motion
 
 import riecjax as rx
-from riecjax.assessment.verdict import Step
+from riecjax.findings import Step
 
 QUICK = {"refine": None, "sweep": False, "intervals": rx.Sandwich()}
 

@@ -14,8 +14,8 @@ from tests.machines import PROBLEMS, STROKE
 
 import riecjax as rx
 from nightly import by_day, nightly
-from riecjax.assessment.doubt import causes_found
 from riecjax.doubts.check import Check
+from riecjax.doubts.demands import causes_found
 from riecjax.equations.model import as_model
 from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import find_model

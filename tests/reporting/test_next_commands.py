@@ -3,9 +3,10 @@
 import click
 import pytest
 
-from riecjax.assessment.verdict import Cause, Step
+from riecjax.assessment.verdict import Cause
 from riecjax.cli.command import Given
 from riecjax.cli.identify import command
+from riecjax.findings import Step
 from riecjax.reporting.answer import next_steps
 
 COMMAND = ("a.csv", "--model", "axis")

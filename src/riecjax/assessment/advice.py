@@ -12,18 +12,18 @@ A step that does not help is not told of. Of equivalent causes none has options:
 both, and what would tell them apart.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from riecjax.assessment.doubt import FINEST, Doubt, Evidence, doubts
+from riecjax.assessment.doubt import Doubt, Evidence, doubts
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.model import Model
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding, joined
+from riecjax.findings import Finding, Step, joined
 from riecjax.folds import Folds
 from riecjax.leaves import size_of
 from riecjax.records.preparation.steps import undone
@@ -34,30 +34,6 @@ from riecjax.summaries.normal_equations import sum_of_equations
 
 if TYPE_CHECKING:
     from riecjax.settings.option import Option
-
-
-@dataclass(frozen=True)
-class Step:
-    """Something to do: what for, the options of `riecjax identify` that do it, and the command with
-    them, where one is known; values of parameters before and after, where it was tried."""
-
-    words: str
-    options: tuple[str, ...] = ()
-    command: str | None = None
-    changed: Mapping[str, tuple[float, float]] | None = field(default=None, compare=False)
-
-    @property
-    def said(self) -> str:
-        """What for, and what it does to the parameter that it changes most."""
-        shares = {
-            name: abs(after / size_of(before) - 1)
-            for name, (before, after) in (self.changed or {}).items()
-        }
-        most = max(shares, key=lambda name: shares[name], default="")
-        if not most or shares[most] < FINEST:
-            return self.words
-        before, after = (self.changed or {})[most]
-        return f"{self.words} ({most} goes from {before:.4g} to {after:.4g})"
 
 
 class Asked(NamedTuple):

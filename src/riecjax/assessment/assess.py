@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from jaxtyping import Array, Key
 
 from riecjax.assessment.advice import Asked, tried
-from riecjax.assessment.doubt import Evidence, causes_found, with_doubts
+from riecjax.assessment.doubt import Evidence
 from riecjax.assessment.refining import (
     Problem,
     Refinement,
@@ -37,7 +37,8 @@ from riecjax.doubts.check import (
     raise_if_not_carried,
     read_of,
 )
-from riecjax.doubts.shared_parameters import refuted
+from riecjax.doubts.demands import causes_found
+from riecjax.doubts.influence import with_doubts
 from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.errors import DataError, IdentifiabilityError, require
 from riecjax.estimation.constraints import Constraints
@@ -224,9 +225,6 @@ def _assessed(asked: Asked) -> Assessment:
 
         checked = check_recordings(model, as_recordings(records), table_of_data, linear, of_sums)
         checked = with_doubts(checked, estimate, model, records, again)
-        together = functools.partial(again, records, model.solved_together())
-        disagreeing = refuted(model, records, estimate, together)
-        checked = replace(checked, findings=[*checked.findings, *disagreeing])
         unseen = [*(Track(part, number) for number, part in enumerate(held)), *map(Track, further)]
         problem = Problem(model, fitted, unseen, settings)
         refinement, validation = answered(problem, estimate, refusal is not None)

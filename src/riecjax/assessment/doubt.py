@@ -17,41 +17,27 @@ with it look wrong as well.
 **Resolution.** No criterion integrates samples, and no sensor is calibrated, better than `FINEST`.
 """
 
-import contextlib
-import dataclasses
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from riecjax.criteria.windows import AbstractWindows
-from riecjax.doubts.check import Check, compared_relations, parameters_reading
-from riecjax.doubts.kinematics import check_kinematics
-from riecjax.equations.equation import Equation
+from riecjax.doubts.check import Check, parameters_reading
 from riecjax.equations.model import Model
-from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding, in_percent
+from riecjax.findings import FINEST, Finding, Step
 from riecjax.leaves import size_of
-from riecjax.records.preparation.steps import undone
-from riecjax.records.record import Record
 from riecjax.records.recording import Recording
-from riecjax.records.signal import noise_level
-from riecjax.validation.equation_errors import EquationError
-from riecjax.validation.residuals import window_errors
 from riecjax.validation.tests import BUILT_IN, Test
 
 if TYPE_CHECKING:
-    from riecjax.assessment.advice import Step
     from riecjax.validation.residuals import EquationResidual
 LEVEL = 0.98
 """Level of the interval that a doubt starts from: one relies on it, so it is to hold more often."""
 TRUSTED = 0.1
 """Share of a value up to which a doubt leaves it good."""
-FINEST = 1e-3
-"""Share of a value below which nothing is claimed."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -237,141 +223,3 @@ def _stated(name: str, findings: Sequence[Finding]) -> float:
     since all are undone at once."""
     together = max((finding.doubts.get(name, 0.0) for finding in findings), default=0.0)
     return together + sum(finding.doubt for finding in findings if name not in finding.doubts)
-
-
-SPOILT = 0.1
-"""Share of a value that a sensor's fault moves it by, from which no equation is asked for more."""
-
-
-def causes_found(
-    checked: Check,
-    model: Model,
-    records: Sequence[Record],
-    errors: Sequence[Sequence[EquationError]],
-    estimate: Estimate,
-) -> list[Finding]:
-    """What explains most of what a model leaves: inputs that say nothing; else faults of sensors,
-    and terms that it lacks; and what the course of inputs between samples may do.
-
-    Of signals that contradict each other, or are not what their sensors saw, an equation blames the
-    wrong one: then nothing is looked for.
-
-    **Arguments:** what was `checked` before the fit; `errors` of each equation on each record.
-    """
-    # Not earlier: who only checks recordings waits for none of these.
-    from riecjax.discovery.candidate import lacked
-    from riecjax.doubts.equation_faults import can_be_weighed, demanded, finding_of
-    from riecjax.doubts.sampled_inputs import between_samples
-
-    silent = [*silent_inputs(model.equations, records, errors, estimate.criterion.windows)]
-    if silent or not can_be_weighed(model, records, estimate):
-        return silent
-    assumed = between_samples(model, records, estimate)
-    if any(
-        (finding.about.disorder or finding.about.holds or finding.about.undo)
-        and max(finding.doubts.values(), default=finding.doubt) > SPOILT
-        for finding in checked.findings
-    ):
-        return assumed
-    causes = demanded(model, records, estimate, lacked)
-    return [*assumed, *(finding_of(cause, model, records) for cause in causes)]
-
-
-NOISE_ALONE = 0.8
-"""Share of a signal's deviation past which all of it is noise. A force of white noise is as well,
-and drives the motion, which the equation then explains."""
-NOTHING_EXPLAINED = 0.8
-"""Share of the target, rms over windows, past which no motion answers to it."""
-
-
-def silent_inputs(
-    equations: Sequence[Equation],
-    records: Sequence[Record],
-    errors: Sequence[Sequence[EquationError]],
-    windows: AbstractWindows | None,
-) -> Iterator[Finding]:
-    """`silent_input` of recorded inputs that are constant or only noise, and that explain nothing.
-
-    **Arguments:** `errors` of each equation on each record.
-    """
-    for equation, of_records in zip(equations, errors, strict=True):
-        if (name := _only_input(equation)) is None:
-            continue
-        for number, (record, error) in enumerate(zip(records, of_records, strict=True), 1):
-            # In words, that a signal says nothing; values too large to be squared are no silence.
-            with np.errstate(over="ignore", invalid="ignore"):
-                values = record.signal(name).with_nan
-                known = values[~np.isnan(values)]
-                spread = float(np.std(known))
-                said = ""
-                if not spread > 1e-12 * float(np.max(np.abs(known))):
-                    said = "never varies"
-                elif float(noise_level(values)) > NOISE_ALONE * spread:
-                    said = "is noise alone"
-            if not said:
-                continue
-            over_windows = None if windows is None else window_errors([error], windows)
-            left = error.relative_rms if over_windows is None else over_windows.relative_rms
-            if not float(left) > NOTHING_EXPLAINED:
-                continue
-            where = f" in recording {number}" if len(records) > 1 else ""
-            yield Finding(
-                "silent_input",
-                f"{name} {said}{where}, while the motion of {equation.name} moves: nothing sets "
-                f"the scale of {', '.join(equation.parameters)}, which come out next to zero. "
-                f"Check the sensor of {name}, its cable and its column.",
-                (name,),
-                equation.parameters,
-                doubt=1.0,
-                step=f"Check the sensor of {name}, its cable and its column",
-            )
-
-
-def _only_input(equation: Equation) -> str | None:
-    """The signal of an equation's only known term."""
-    inputs = [t.signal for t in equation.terms if not t.parameters]
-    return inputs[0] if len(inputs) == 1 else None
-
-
-def with_doubts(
-    checked: Check,
-    estimate: Estimate,
-    model: Model,
-    records: Sequence[Record],
-    again: Callable[[list[Record]], Estimate],
-) -> Check:
-    """What was checked, with how far each fault moves each parameter as its `doubts`.
-
-    **Arguments:** `again` estimates in the same way from other records.
-    """
-    # Share by which each parameter moves once all records have no such fault.
-    doubts: dict[str, dict[str, float]] = {}
-    for code in {finding.code for finding in checked.findings if finding.about.undo}:
-        with contextlib.suppress(DataError, IdentifiabilityError):
-            remedies = [_remedies(checked, code, model, one) for one in records]
-            if not any(remedies):
-                continue
-            other = again([undone(one, options) for one, options in zip(records, remedies)])
-            doubts[code] = {
-                name: abs(float(other[name]) / float(estimate[name]) - 1)
-                for name in estimate.parameters
-                if name in other.parameters and float(estimate[name])
-            }
-    findings = []
-    for finding in checked.findings:
-        if moved := doubts.get(finding.code):
-            name, share = max(moved.items(), key=lambda entry: entry[1])
-            effect = f" Without it {name} changes by {in_percent(share)}."
-            finding = finding._replace(message=finding.message + effect, doubts=moved)
-        findings.append(finding)
-    return dataclasses.replace(checked, findings=findings)
-
-
-def _remedies(checked: Check, code: str, model: Model, record: Record) -> list[tuple[str, ...]]:
-    """What takes faults of one code off a record: what is proposed, or, where that is not for all
-    recordings, what this one shows by itself."""
-    faults = [finding for finding in checked.findings if finding.code == code]
-    if not all(finding.remedy for finding in faults):
-        compared = compared_relations(model, record, checked.signals)
-        faults = [one for one in check_kinematics(record, compared) if one.code == code]
-    return [finding.remedy for finding in faults if finding.remedy]

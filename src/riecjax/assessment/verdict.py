@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from riecjax.assessment.advice import Step, steps_of
+from riecjax.assessment.advice import steps_of
 from riecjax.assessment.doubt import TRUSTED, Doubt, Evidence, doubts
-from riecjax.findings import KINDS, Finding, joined
+from riecjax.findings import KINDS, Finding, Step, joined
 from riecjax.shows import Shown
 
 

@@ -40,7 +40,7 @@ from riecjax.equations import expressions
 from riecjax.equations.model import Model, as_model
 from riecjax.equations.motions import per
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding, in_percent, joined, option_for
+from riecjax.findings import FINEST, Finding, in_percent, joined, option_for
 from riecjax.records.record import Record
 from riecjax.records.time_base import PPM
 from riecjax.summaries.summarise import signals_read
@@ -56,8 +56,6 @@ MOVES = 1.0
 """Standard errors by which a cause moves some parameter at the least."""
 NOTABLE = 0.02
 """Rms that is left, over the target's, from which a cause matters whatever it moves."""
-FINEST = 1e-3
-"""Share of a value below which nothing is claimed: no criterion integrates samples better."""
 SLIGHT = 1e-3
 """Share of a drift that an offset beside it is at the least."""
 NEAR = 8

@@ -20,10 +20,9 @@ import numpy as np
 from msgspec import UNSET, UnsetType
 
 from riecjax.assessment.assess import Assessment
-from riecjax.assessment.verdict import Step
 from riecjax.errors import ModelError, printable
 from riecjax.estimation.estimate import Estimate, intervals_entry, parameter_entries
-from riecjax.findings import Finding
+from riecjax.findings import Finding, Step
 from riecjax.leaves import finite
 from riecjax.records.noise_judgement import noise_entries
 from riecjax.records.recording import Recording, common_steps

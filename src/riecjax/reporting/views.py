@@ -8,11 +8,12 @@ import numpy as np
 
 from riecjax.arrays import are_traced, hosted
 from riecjax.assessment.assess import Assessment
-from riecjax.assessment.verdict import Step, Verdict, percent
+from riecjax.assessment.verdict import Verdict, percent
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import OWN, Model
 from riecjax.estimation import ModeEvidence
 from riecjax.estimation.estimate import Estimate, span
+from riecjax.findings import Step
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.reporting.answer import (
