@@ -147,7 +147,9 @@ def test_a_missing_state_is_named_with_its_width(noise):
     width = re.search(r"within about ([\d.]+) of displacement", finding.message)
     assert width is not None
     assert STROKE / 3 < float(width[1]) < 3 * STROKE
-    assert "riecjax discover --alpha 0.02 --beta 0.1" in finding.message
+    assert "riecjax discover" in finding.message
+    # Windows of few samples see noise alone, of which a mass comes out next to zero.
+    assert "--alpha" not in finding.message
     assert finding.signals == ("dx",)
     assert {*finding.parameters} == {"m", "k", "c"}
 

@@ -591,16 +591,14 @@ def _of_mode(equation: str, mode: Ringing, mass: float) -> _Said:
 
 def _of_state(doubt: Doubt, record: Record) -> _Said:
     (state,) = doubt.memories
-    v, step = state.velocity, float(record.time_step)
+    v = state.velocity
     width = f"{state.width:.2g} {per(record.signal(v).unit, '1/s')}".rstrip()
-    windows = f"--alpha {2 * step:.3g} --beta {10 * step:.3g}"
     return _Said(
         "hysteresis",
         f"{doubt.equation}: what the model leaves runs in loops over {v}: hysteresis is missing, a "
         f"state that turns round within about {width} of displacement ({type(state).__name__})",
-        f"Find its law by windows that are no longer than it takes to turn (riecjax discover "
-        f"{windows}).",
-        step=f"Find the law of the hysteresis: riecjax discover, with {windows}",
+        "Find its law (riecjax discover).",
+        step="Find the law of the hysteresis: riecjax discover",
     )
 
 
