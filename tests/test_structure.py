@@ -17,13 +17,13 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 48_830,
-    "src modules": 204,
-    "src statements": 23_395,
+    "src lines": 49_315,
+    "src modules": 209,
+    "src statements": 23_660,
     "src literals": 1_445,
     "lines of commands and settings": 2_300,
-    "tests lines": 27_180,
-    "benchmarks lines": 8_720,
+    "tests lines": 27_405,
+    "benchmarks lines": 9_180,
     "README lines": 150,
 }
 LEAST_PROSE = 17
@@ -33,12 +33,12 @@ MOST_IMPORTS = 12
 MANY_PARAMETERS: dict[str, int] = {}
 MANY_IMPORTS = {
     "riecjax.assessment.advice": 13,
-    "riecjax.assessment.assess": 28,
+    "riecjax.assessment.assess": 29,
     "riecjax.assessment.output_error_search": 14,
     "riecjax.discovery.candidate": 13,
     "riecjax.discovery.discover": 22,
     "riecjax.doubts.check": 21,
-    "riecjax.doubts.demands": 13,
+    "riecjax.assessment.demands": 14,
     "riecjax.doubts.kinematics": 20,
     "riecjax.doubts.reading": 13,
     "riecjax.estimation.identify": 22,

@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 import pytest
+from benchmarks.calibration import verdict_cases
 from benchmarks.calibration.verdict_cases import KINDS, Case
 from benchmarks.calibration.verdict_classes import CLASSES, class_cases
 
@@ -161,6 +162,30 @@ def test_values_at_single_samples_are_held_against_windows():
     assert abs(judged.value - 26) > 2
     assert judged.level != "good"
     assert judged.doubt[0] <= 26 <= judged.doubt[1]
+
+
+@pytest.mark.raises_finding("unexplained")
+def test_what_nothing_explains_alone_counts_by_what_explains_a_part():
+    """Dry friction that the model lacks, and a force that is late as well."""
+    kind = next(kind for kind in KINDS if kind.name == "friction left out")
+    case = verdict_cases.cases(kind, "late force", 3, 3)[2]
+    assessment = rx.assess(case.model, case.record, refine=None)
+    (finding,) = [one for one in assessment.findings() if one.code == "unexplained"]
+    assert "Coulomb friction" in finding.message
+    assert "delay of u" in finding.message
+    judged = assessment.verdict.parameters["c"]
+    assert judged.level == "do not use"
+    assert judged.reason == "the model leaves more than noise"
+    assert judged.doubt[0] <= case.truth["c"] <= judged.doubt[1]
+    assert case.truth["c"] != pytest.approx(judged.value, rel=0.3)
+
+
+@pytest.mark.no_finding("unexplained")
+def test_nothing_is_left_unexplained_of_sound_recordings():
+    for kind in KINDS[:4]:
+        for case in verdict_cases.cases(kind, "none", 3, 3):
+            assessment = rx.assess(case.model, case.record, refine=None)
+            assert "unexplained" not in {finding.code for finding in assessment.findings()}
 
 
 def test_no_step_is_told_that_the_next_run_refuses():

@@ -14,8 +14,8 @@ from tests.machines import PROBLEMS, STROKE
 
 import riecjax as rx
 from nightly import by_day, nightly
+from riecjax.assessment.demands import causes_found
 from riecjax.doubts.check import Check
-from riecjax.doubts.demands import causes_found
 from riecjax.equations.model import as_model
 from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import find_model
@@ -103,7 +103,7 @@ def codes(signals, *others) -> list[tuple[str, tuple[str, ...]]]:
     every = [Record.from_samples(one, time_step=STEP) for one in (signals, *others)]
     records = [one.record for one in ready(AXIS, every)]
     estimate = identify(AXIS, records, intervals=Sandwich())
-    residuals, *_ = residuals_tested(AXIS, records, estimate, partial(causes_found, NOTHING)).tests
+    residuals, *_ = residuals_tested(AXIS, records, estimate, partial(causes_found, NOTHING), False).tests
     assert isinstance(residuals, ResidualTests)
     return [(f.code, f.signals) for f in residuals.faults]
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from jaxtyping import Array, Key
 
 from riecjax.assessment.advice import Asked, tried
+from riecjax.assessment.demands import causes_found
 from riecjax.assessment.doubt import Evidence
 from riecjax.assessment.refining import (
     Problem,
@@ -37,7 +38,7 @@ from riecjax.doubts.check import (
     raise_if_not_carried,
     read_of,
 )
-from riecjax.doubts.demands import causes_found
+from riecjax.doubts.equation_faults import can_be_weighed
 from riecjax.doubts.influence import with_doubts
 from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.errors import DataError, IdentifiabilityError, require
@@ -233,7 +234,11 @@ def _assessed(asked: Asked) -> Assessment:
         if refined is None:
             of_sums.raise_if_refused()
         residuals = residuals_tested(
-            model, records, estimate, functools.partial(causes_found, checked)
+            model,
+            records,
+            estimate,
+            functools.partial(causes_found, checked),
+            can_be_weighed(model, records, estimate),
         )
         failures += at_rest_findings(
             model, records, estimate, lambda other: again(records, other, intervals)

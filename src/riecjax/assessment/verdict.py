@@ -144,7 +144,8 @@ def _judged(name: str, doubt: Doubt, grouped: Sequence[Cause], widened: str) -> 
         phrase = finding.about.said(finding.signals, finding.parameters)
         return "do not use", (finding.about.symptom and known) or phrase
     if math.isnan(doubt.size):
-        return "caution", "it could not be computed"
+        computed = (finding.about for finding in about if finding.about.kind == "computation")
+        return "caution", next((one.said((), (name,)) for one in computed), "it has no interval")
     short = any(finding.about.short for finding in about)
     reason = known or ("scatter; the record is short" if short else "scatter")
     if doubt.is_wrong:

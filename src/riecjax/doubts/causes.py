@@ -24,8 +24,6 @@ from riecjax.leaves import size_of
 
 LEVEL = 1e-3
 """Probability by chance, over all doubts, below which one is told."""
-PERHAPS = 0.05
-"""The same, of what moves a value without being told."""
 UNEXPLAINED = 0.1
 """Share of the energy left beyond noise that a cause leaves at most."""
 OF_NOISE = 0.07
@@ -116,11 +114,11 @@ class Causes:
         """Whether an energy that is left is hardly more than noise."""
         return left <= max(UNEXPLAINED * self.before, OF_NOISE * self.noise)
 
-    def is_sure(self, doubt: Doubt, beside: Sequence[Doubt] = (), level: float = LEVEL) -> bool:
+    def is_sure(self, doubt: Doubt, beside: Sequence[Doubt] = ()) -> bool:
         """Whether neither chance nor rounding makes a doubt, and it is of a plausible size."""
         told = self.beside(beside)[doubt]
         likely = abs(told.value) < self.plausible.get(doubt.name, np.inf)
-        return likely and told.own > OWN and told.chance * self.trials < level
+        return likely and told.own > OWN and told.chance * self.trials < LEVEL
 
     @property
     def is_promising(self) -> bool:
@@ -197,7 +195,7 @@ class Causes:
                 doubt
                 for doubt in self.offered
                 if doubt not in chosen and doubt.kind != STATES
-                if self.is_sure(doubt, chosen, PERHAPS)
+                if self.is_sure(doubt, chosen)
             ]
             best = min(others, key=lambda doubt: self.left([*chosen, doubt]), default=None)
             if best is None or not self.left([*chosen, best]) < self.left(chosen):

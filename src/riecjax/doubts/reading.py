@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from riecjax.doubts.delays import SMALLEST
 from riecjax.doubts.kinematics import GROSS, UNRELATED, Compared, compare, findings_of
 from riecjax.equations.equation import Equation
-from riecjax.equations.model import as_model
+from riecjax.equations.model import Model, as_model
 from riecjax.errors import DataError
 from riecjax.findings import Finding, joined
 from riecjax.records.derived import names_in
@@ -160,9 +160,11 @@ def _of_model(settings: Reading) -> Reading:
     """
     is_one = isinstance(settings.model, Equation)
     model = as_model(settings.model) if is_one else settings.model
-    read = set() if model is None else {signal.name for signal in model.signals}
+    if not isinstance(model, Model):
+        return settings
+    read = {signal.name for signal in model.signals}
     steps = {name: option for name, option in Prepare.options().items() if option.shape == "named"}
-    for field, option in steps.items() if model is not None else ():
+    for field, option in steps.items():
         for name in {*getattr(settings, field)} - read - {*settings.derive}:
             of = [new for new, formula in settings.derive.items() if name in names_in(formula)]
             if of:

@@ -53,7 +53,7 @@ def between_samples(model: Model, records: Sequence[Record], estimate: Estimate)
         for name in sorted(name for name in known if name)
         for part, course in PARTS.items()
     ]
-    folds = folds_of(asked, records, doubts, "plain")
+    folds = folds_of(asked, records, doubts, "")
     there = {*folds.parameters}
     base = [name for name in folds.parameters if name not in {doubt.name for doubt in doubts}]
     total, at = folds.motion.sum(0), folds.columns(base)

@@ -59,14 +59,14 @@ def residuals_tested(
     records: list[Record],
     estimate: Estimate,
     faults_of: Callable[..., list[Finding]],
+    weighed: bool,
 ) -> Tested:
     """Tests of what equations leave.
 
     **Arguments:** `faults_of` a model, records, errors of each equation on each, and an estimate,
-    which finds what explains most of what is left.
+    which finds what explains most of what is left; whether all causes are `weighed`.
     """
     # Not earlier: who only checks recordings waits for none of these.
-    from riecjax.doubts.equation_faults import can_be_weighed
     from riecjax.validation.equation_errors import errors_over_records
     from riecjax.validation.residuals import residual_tests
 
@@ -74,7 +74,6 @@ def residuals_tested(
     try:
         errors = errors_over_records(model, records, estimate.values)
         faults = faults_of(model, records, errors, estimate)
-        weighed = can_be_weighed(model, records, estimate)
         test = residual_tests(
             model, records, estimate, errors=errors, faults=faults, weighed=weighed
         )
