@@ -282,20 +282,7 @@ BESIDE: dict[str, dict[str, str]] = {
     },
 }
 """By the folder beside the project; measured ones are slow."""
-KNOWN_WRONG = {
-    "derived-input": KnownWrong(
-        "m 120, f0 9, f2 0.25, or that the shift reaches nothing",
-        lambda k: near(k, m=120.0, f0=9.0, f2=0.25) and not says(k, "the model does not use it"),
-    ),
-    "lever-arm": KnownWrong(
-        "Cf 80000 and Cr 95000, or neither is good",
-        lambda k: near(k, Cf=80e3, Cr=95e3) or not good(k, "Cf", "Cr"),
-    ),
-    "hammer-pulses": KnownWrong(
-        "m 2, k 3000, or neither is good: pulses are too short for the sampling",
-        lambda k: near(k, m=2.0, k=3000.0) or not good(k, "m", "k"),
-    ),
-}
+KNOWN_WRONG: dict[str, KnownWrong] = {}
 
 
 def in_windows(low: float, high: float, *weight: Any) -> Callable[[], Any]:

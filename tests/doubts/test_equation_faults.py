@@ -51,7 +51,7 @@ def found(record: rx.Record, model: rx.Equation | rx.Model = LAW) -> list[rx.fin
     records = [one.record for one in ready(model, record)]
     estimate = rx.identify(model, records)
     errors = errors_over_records(model, records, estimate.values)
-    return causes_found(NOTHING, model, records, errors, estimate)
+    return causes_found(NOTHING, model, records, errors, estimate)[0]
 
 
 @pytest.mark.raises_finding("drifting_signal")
@@ -103,7 +103,9 @@ def codes(signals, *others) -> list[tuple[str, tuple[str, ...]]]:
     every = [Record.from_samples(one, time_step=STEP) for one in (signals, *others)]
     records = [one.record for one in ready(AXIS, every)]
     estimate = identify(AXIS, records, intervals=Sandwich())
-    residuals, *_ = residuals_tested(AXIS, records, estimate, partial(causes_found, NOTHING), False).tests
+    residuals, *_ = residuals_tested(
+        AXIS, records, estimate, partial(causes_found, NOTHING), estimate
+    ).tests
     assert isinstance(residuals, ResidualTests)
     return [(f.code, f.signals) for f in residuals.faults]
 

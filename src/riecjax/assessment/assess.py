@@ -38,7 +38,6 @@ from riecjax.doubts.check import (
     raise_if_not_carried,
     read_of,
 )
-from riecjax.doubts.equation_faults import can_be_weighed
 from riecjax.doubts.influence import with_doubts
 from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.errors import DataError, IdentifiabilityError, require
@@ -233,21 +232,21 @@ def _assessed(asked: Asked) -> Assessment:
         refined = None if refinement is None else refinement.answer
         if refined is None:
             of_sums.raise_if_refused()
+        # Columns are weighed over all windows, also where others, or none, answer.
+        by_windows, unlike = estimate, []
+        if criterion.all_windows is None and not model.has_hidden:
+            is_drawn = isinstance(criterion, RIEC)
+            windows = criterion.every if is_drawn else suited(model, model.band, records)
+            with contextlib.suppress(DataError, IdentifiabilityError):
+                by_windows = again(records, criterion=windows)
+                unlike = [] if is_drawn else unlike_windows(estimate, by_windows)
         residuals = residuals_tested(
-            model,
-            records,
-            estimate,
-            functools.partial(causes_found, checked),
-            can_be_weighed(model, records, estimate),
+            model, records, estimate, functools.partial(causes_found, checked), by_windows
         )
         failures += at_rest_findings(
             model, records, estimate, lambda other: again(records, other, intervals)
         )
-        if criterion.windows is None:
-            with contextlib.suppress(DataError, IdentifiabilityError):
-                windows = suited(model, model.band, records)
-                failures += unlike_windows(estimate, again(records, criterion=windows))
-        failures += [*residuals.findings, *_validated_on_fitted(fitted, further)]
+        failures += [*unlike, *residuals.findings, *_validated_on_fitted(fitted, further)]
         sweep = None
         if sweeps and table_of_data.free and summary.criterion.windows is not None:
             with contextlib.suppress(DataError):  # too short for any other length

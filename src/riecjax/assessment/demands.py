@@ -25,7 +25,7 @@ def causes_found(
     records: Sequence[Record],
     errors: Sequence[Sequence[EquationError]],
     estimate: Estimate,
-) -> list[Finding]:
+) -> tuple[list[Finding], bool]:
     """What explains most of what a model leaves: inputs that say nothing; else faults of sensors,
     and terms that it lacks; and what the course of inputs between samples may do.
 
@@ -33,6 +33,8 @@ def causes_found(
     wrong one: then nothing is looked for.
 
     **Arguments:** what was `checked` before the fit; `errors` of each equation on each record.
+
+    **Returns:** the findings, and whether causes could be weighed.
     """
     # Not earlier: who only checks recordings waits for none of these.
     from riecjax.discovery.candidate import lacked
@@ -40,17 +42,18 @@ def causes_found(
     from riecjax.doubts.sampled_inputs import between_samples
 
     silent = [*silent_inputs(model.equations, records, errors, estimate.criterion.windows)]
-    if silent or not can_be_weighed(model, records, estimate):
-        return silent
+    weighed = can_be_weighed(model, records, estimate)
+    if silent or not weighed:
+        return silent, weighed
     assumed = between_samples(model, records, estimate)
     if any(
         (finding.about.disorder or finding.about.holds or finding.about.undo)
         and max(finding.doubts.values(), default=finding.doubt) > SPOILT
         for finding in checked.findings
     ):
-        return assumed
+        return assumed, weighed
     causes = demanded(model, records, estimate, lacked)
-    return [*assumed, *(finding_of(cause, model, records) for cause in causes)]
+    return [*assumed, *(finding_of(cause, model, records) for cause in causes)], weighed
 
 
 NOISE_ALONE = 0.8

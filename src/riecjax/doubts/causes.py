@@ -200,6 +200,8 @@ class Causes:
             best = min(others, key=lambda doubt: self.left([*chosen, doubt]), default=None)
             if best is None or not self.left([*chosen, best]) < self.left(chosen):
                 break
+            if self._reproduces([*chosen, best]):
+                break
             chosen.append(best)
         return chosen
 

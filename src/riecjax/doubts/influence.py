@@ -6,7 +6,6 @@ import functools
 from collections.abc import Callable, Sequence
 
 from riecjax.doubts.check import Check, compared_relations
-from riecjax.doubts.equation_faults import can_be_weighed
 from riecjax.doubts.kinematics import check_kinematics
 from riecjax.doubts.shared_parameters import refuted
 from riecjax.equations.model import Model
@@ -29,10 +28,6 @@ def with_doubts(
 
     **Arguments:** `again` estimates in the same way from other records, and by another model.
     """
-    if can_be_weighed(model, records, estimate):
-        # Means that disagree with motion say less than zeros that are weighed with all else.
-        weighed = [finding for finding in checked.findings if finding.code != "wrong_zero"]
-        checked = dataclasses.replace(checked, findings=weighed)
     # Share by which each parameter moves once all records have no such fault.
     doubts: dict[str, dict[str, float]] = {}
     for code in {finding.code for finding in checked.findings if finding.about.undo}:

@@ -12,6 +12,10 @@ rate is a part of that difference. With an input s these are the columns of the 
 of size one, which leave every third sample; the root of the sum of both squares is the same
 wherever pulses begin between samples.
 
+What an input that moves all the time does between samples is random, and part of scatter. Pulses,
+between which it rests, may all begin at one place between samples, as of a trigger, and no scatter
+shows what that does.
+
 Harmonics of an input that lie above half the rate fold back. Those of a jump fall off as 1 / f, of
 a kink as 1 / f^2: the whole rate leaves a third and a ninth of the error of a third of it.
 """
@@ -26,8 +30,11 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, in_percent, joined
 from riecjax.records.record import Record
 
-LEFT = 1 / 3
-"""Share of the error of a third of the rate that the whole rate leaves, of jumps."""
+LEFT = 1 / 9
+"""Share of the error of a third of the rate that the whole rate leaves, of kinks."""
+RESTS = 0.1
+"""Usual deviation of an input from its median, over its root mean square, of one that rests most of
+the time: of a steady one it is a half or more."""
 NOTABLE = 0.01
 """Share of a value from which it is told, where it is more than scatter as well."""
 
@@ -35,6 +42,13 @@ NOTABLE = 0.01
 def _third(samples: Samples, shape: Callable[[Samples], Samples]) -> Samples:
     """A signal's part by which samples of a third of the rate differ."""
     return 2 * samples * shape(2 * np.pi / 3 * np.arange(samples.size))
+
+
+def _is_of_pulses(name: str, records: Sequence[Record]) -> bool:
+    """Whether an input rests most of the time in each record."""
+    every = [np.asarray(record.arrays[name], float) for record in records]
+    away = [values - np.median(values) for values in every]
+    return all(np.median(np.abs(one)) < RESTS * np.sqrt(np.mean(one**2)) for one in away)
 
 
 PARTS: dict[str, Course] = {
@@ -50,9 +64,11 @@ def between_samples(model: Model, records: Sequence[Record], estimate: Estimate)
     known = {t.signal for e in model.equations for t in e.terms if not t.parameters}
     doubts = [
         Doubt(f"{part} of {name}", "sampling", (name,), course)
-        for name in sorted(name for name in known if name)
+        for name in sorted(name for name in known if name and _is_of_pulses(name, records))
         for part, course in PARTS.items()
     ]
+    if not doubts:
+        return []
     folds = folds_of(asked, records, doubts, "")
     there = {*folds.parameters}
     base = [name for name in folds.parameters if name not in {doubt.name for doubt in doubts}]
@@ -62,15 +78,17 @@ def between_samples(model: Model, records: Sequence[Record], estimate: Estimate)
         if doubt.name not in there:
             continue
         both = folds.columns([doubt.name, quadrature.name])
-        along = np.linalg.lstsq(total[np.ix_(at, at)], total[np.ix_(at, both)], rcond=None)[0]
+        # Of each fold by itself: pulses lie otherwise in threes of samples, and alike in one.
+        inverse = np.linalg.pinv(total[np.ix_(at, at)], hermitian=True)
+        along = inverse @ folds.motion[:, at[:, None], both]
         shares = {}
-        for name, move in zip(base, np.hypot(*along.T).tolist()):
+        for name, move in zip(base, np.hypot(along[..., 0], along[..., 1]).sum(0).tolist()):
             name = name.partition(".")[2]
             if name in estimate.parameters and LEFT * abs(move) > estimate.standard_error(name):
                 shares.setdefault(name, LEFT * abs(move / asked.values[name]))
         if max(shares.values(), default=0.0) > NOTABLE:
             signals += doubt.signals
-            moved = {name: max(share, moved.get(name, 0.0)) for name, share in shares.items()}
+            moved |= {name: max(share, moved.get(name, 0.0)) for name, share in shares.items()}
     if not signals:
         return []
     worst = max(moved, key=lambda name: moved[name])

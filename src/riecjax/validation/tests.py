@@ -58,13 +58,14 @@ def residuals_tested(
     model: Model,
     records: list[Record],
     estimate: Estimate,
-    faults_of: Callable[..., list[Finding]],
-    weighed: bool,
+    faults_of: Callable[..., tuple[list[Finding], bool]],
+    by_windows: Estimate,
 ) -> Tested:
     """Tests of what equations leave.
 
     **Arguments:** `faults_of` a model, records, errors of each equation on each, and an estimate,
-    which finds what explains most of what is left; whether all causes are `weighed`.
+    which finds what explains most of what is left, and whether all causes were weighed; the
+    estimate `by_windows` that it is to weigh by.
     """
     # Not earlier: who only checks recordings waits for none of these.
     from riecjax.validation.equation_errors import errors_over_records
@@ -73,7 +74,7 @@ def residuals_tested(
     # A fit is not lost because what it leaves cannot be tested.
     try:
         errors = errors_over_records(model, records, estimate.values)
-        faults = faults_of(model, records, errors, estimate)
+        faults, weighed = faults_of(model, records, errors, by_windows)
         test = residual_tests(
             model, records, estimate, errors=errors, faults=faults, weighed=weighed
         )
