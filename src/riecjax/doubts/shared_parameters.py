@@ -14,7 +14,7 @@ import numpy as np
 
 from riecjax.doubts.causes import FEWEST, LEVEL
 from riecjax.doubts.columns import Asked, folds_of
-from riecjax.doubts.equation_faults import MOVES, can_be_weighed
+from riecjax.doubts.equation_faults import HALF, MOVES, can_be_weighed
 from riecjax.equations.model import Model
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.estimate import Estimate
@@ -61,11 +61,12 @@ def refuted(
         return []
     most = max(doubts, key=lambda name: doubts[name])
     left, of_other = (_left_by(one) for one in (estimate, other))
-    better = sum(of_other.values()) < sum(left.values())
+    energies = [sum(share**2 for share in of.values()) for of in (left, of_other)]
+    better = energies[1] < HALF * energies[0]
     listed = joined(
         [f"{in_percent(of_other[n])} of {n} instead of {in_percent(left[n])}" for n in left]
     )
-    trusted = "so that these are the values to trust" if better else "which is no better"
+    trusted = "so that these are the values to trust" if better else "hardly less"
     message = (
         f"{says} as earlier equations found them. Solved together, {most} is "
         f"{float(other[most]):.4g} instead of {float(estimate[most]):.4g}, and the equations leave "
