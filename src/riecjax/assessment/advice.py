@@ -113,8 +113,9 @@ def helps(before: Evidence, after: Evidence) -> bool:
     is_split = after.model.has_hidden and not before.model.has_hidden
     if not common or any(_spoils(was[name], now[name], is_split) for name in common):
         return False
-    ruled_out = {f.code for each in (before, after) for f in each.findings() if f.about.rules_out}
-    if ruled_out - {finding.code for finding in before.findings()}:
+    # What a step adds is carried by the recordings.
+    ruling = (finding for finding in after.findings() if finding.about.rules_out)
+    if {name for finding in ruling for name in after.parameters_of(finding)} - was.keys():
         return False
     # What is left over other windows is another thing.
     laws = [each.estimate.criterion.describe() for each in (before, after)]
