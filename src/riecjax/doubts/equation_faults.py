@@ -35,7 +35,7 @@ from riecjax.doubts.delays import (
     low_pass_of,
     settled,
 )
-from riecjax.doubts.modes import best_mode
+from riecjax.doubts.modes import best_mode, elsewhere
 from riecjax.equations import expressions
 from riecjax.equations.model import Model, as_model
 from riecjax.equations.motions import per
@@ -178,7 +178,8 @@ class Weighing:
         best = min(delays, key=lambda delay: causes.left([delay]), default=None)
         if rough and best and causes.rms(causes.left([best])) < rough.left:
             rough = self._cause(best, [best], known[best])
-        return [each for each in (rough or self._unexplained(mode),) if each is not None]
+        # A mode explains its own equation alone.
+        return [each for each in (rough, self._unexplained(mode)) if each is not None]
 
     def _unexplained(self, mode: Cause | None) -> Cause | None:
         """Doubts that explain a part of what is left, let in one after the other, with the farthest
@@ -193,10 +194,12 @@ class Weighing:
         for name, share in (entry for some in moves for entry in some.items()):
             moved[name] = max(moved.get(name, 0.0), share, key=abs)
         before, left = (rough.rms(rough.left(some)) for some in ([], chosen))
-        if chosen and (mode is None or left < mode.left):
+        if chosen and (mode is None or self._rings(mode) or left < mode.left):
             size = fits[-1][chosen[0].name]
             return Cause(chosen[0], size, before, left, moved, admitted=tuple(chosen))
-        return mode and mode._replace(moved=moved, admitted=(mode.doubt,))
+        if mode is None or self._rings(mode):
+            return None
+        return mode._replace(moved=moved, admitted=(mode.doubt,))
 
     def _part_of(self, known: Mapping[Doubt, Settled]) -> list[Cause]:
         """The delay that explains most of what is left, where others are beside it: columns of what
@@ -325,7 +328,16 @@ class Weighing:
         best = mode.doubt
         if not (found.is_sure(best) and found.left([best]) < found.before):
             return None
-        return self._cause(best, [best], None, found)
+        cause = self._cause(best, [best], None, found)
+        moved = dict(cause.moved)
+        for doubt, asked in elsewhere(mode, self.records):
+            folds = folds_of(asked, self.records, [doubt])
+            names = [name for name in folds.parameters if name != doubt.name]
+            before, after = (
+                dict(zip(some, folds.fitted(some).tolist())) for some in (names, folds.parameters)
+            )
+            moved = self._moved(after, before) | moved
+        return cause._replace(moved=moved)
 
     def _rings(self, mode: Cause) -> bool:
         """Whether a mode explains what is left roughly."""

@@ -20,6 +20,7 @@ import numpy as np
 
 from riecjax.doubts.columns import Asked, Doubt, Ringing, folds_of
 from riecjax.equations.hidden_elements import HiddenMode, accelerated
+from riecjax.equations.term import AbstractTerm
 from riecjax.records.record import Record
 
 FREQUENCIES = 14
@@ -47,6 +48,40 @@ class Mode(NamedTuple):
     gained: float
 
 
+def elsewhere(mode: Mode, records: Sequence[Record]) -> list[tuple[Doubt, Asked]]:
+    """The same mode in equations of other stages that hold its body, each with what is asked of
+    that stage: they take the body's mass for that of both."""
+    found = []
+    for stage, names in enumerate(mode.asked.model.equation_names):
+        for name, equation in zip(names, mode.asked.model.stages[stage], strict=True):
+            if name == mode.doubt.equation or stage in mode.asked.stages:
+                continue
+            on_body = _recorded(HiddenMode(mode.shape.on).term_in(equation), mode.asked, records)
+            if on_body is not None:
+                signal, order, sign = on_body
+                shape = replace(mode.shape, signal=signal, order=order, sign=sign)
+                doubt = replace(mode.doubt, equation=name, mode=shape)
+                found.append((doubt, mode.asked._replace(stages=[stage])))
+    return found
+
+
+def _recorded(
+    term: AbstractTerm | None, asked: Asked, records: Sequence[Record]
+) -> tuple[str, int, float] | None:
+    """Of a body's inertia the lowest derivative that was recorded, whose order the test function
+    takes off, that order, and the sign; `None` where there is none."""
+    if term is None or term.signal is None:
+        return None
+    orders = range(term.derivative, -1, -1)
+    recorded = [
+        (signal, order)
+        for signal, order in zip((str(term.signal), *term.measured), orders)
+        if order <= asked.criterion.smoothness
+        and all(signal in record.arrays for record in records)
+    ]
+    return (*recorded[0], float(np.sign(float(np.asarray(term.factor))))) if recorded else None
+
+
 def best_mode(asked: Asked, records: Sequence[Record]) -> Mode | None:
     """The mode of positive mass that gains most, of all bodies; `None` where there is none."""
     found, seen = [], set[str]()
@@ -59,20 +94,9 @@ def best_mode(asked: Asked, records: Sequence[Record]) -> Mode | None:
         # Later stages that hold a body know its mass from the first.
         for on in (on for on in accelerated(equation) if on not in seen):
             seen.add(on)
-            term = HiddenMode(on).term_in(equation)
-            if term is None or term.signal is None:
-                continue
-            # The lowest derivative that was recorded, whose order the test function takes off.
-            orders = range(term.derivative, -1, -1)
-            recorded = [
-                (signal, order)
-                for signal, order in zip((str(term.signal), *term.measured), orders)
-                if order <= asked.criterion.smoothness
-                and all(signal in record.arrays for record in records)
-            ]
-            if recorded:
-                sign = float(np.sign(float(np.asarray(term.factor))))
-                on_body = Ringing(on, *recorded[0], sign, np.nan, np.nan)
+            recorded = _recorded(HiddenMode(on).term_in(equation), asked, records)
+            if recorded is not None:
+                on_body = Ringing(on, *recorded, np.nan, np.nan)
                 mode = _on_body(asked._replace(stages=[stage]), records, name, on_body)
                 found += [] if mode is None else [mode]
     return max(found, key=lambda mode: mode.gained, default=None)
