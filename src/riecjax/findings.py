@@ -112,13 +112,13 @@ is calibrated, better."""
 
 @dataclass(frozen=True)
 class Step:
-    """Something to do: what for, the options of `riecjax identify` that do it, and the command with
-    them, where one is known; values of parameters before and after, where it was tried."""
+    """Something to do: what for, and the options of `riecjax identify` that do it; values of
+    parameters before and after, where it was tried; the command, where one is known."""
 
     words: str
     options: tuple[str, ...] = ()
-    command: str | None = None
     changed: Mapping[str, tuple[float, float]] | None = field(default=None, compare=False)
+    command: str | None = None
 
     @property
     def said(self) -> str:

@@ -178,8 +178,7 @@ class Weighing:
         best = min(delays, key=lambda delay: causes.left([delay]), default=None)
         if rough and best and causes.rms(causes.left([best])) < rough.left:
             rough = self._cause(best, [best], known[best])
-        # A mode explains its own equation alone.
-        return [each for each in (rough, self._unexplained(mode)) if each is not None]
+        return [each for each in (rough or self._unexplained(mode),) if each is not None]
 
     def _unexplained(self, mode: Cause | None) -> Cause | None:
         """Doubts that explain a part of what is left, let in one after the other, with the farthest
@@ -194,12 +193,10 @@ class Weighing:
         for name, share in (entry for some in moves for entry in some.items()):
             moved[name] = max(moved.get(name, 0.0), share, key=abs)
         before, left = (rough.rms(rough.left(some)) for some in ([], chosen))
-        if chosen and (mode is None or self._rings(mode) or left < mode.left):
+        if chosen and (mode is None or left < mode.left):
             size = fits[-1][chosen[0].name]
             return Cause(chosen[0], size, before, left, moved, admitted=tuple(chosen))
-        if mode is None or self._rings(mode):
-            return None
-        return mode._replace(moved=moved, admitted=(mode.doubt,))
+        return mode and mode._replace(moved=moved, admitted=(mode.doubt,))
 
     def _part_of(self, known: Mapping[Doubt, Settled]) -> list[Cause]:
         """The delay that explains most of what is left, where others are beside it: columns of what
