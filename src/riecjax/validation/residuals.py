@@ -447,8 +447,8 @@ class EquationResidual(NamedTuple):
     - `dampers`: coefficients with which a spring that the model lacks could be in series, and
       the first ones of `maps` of which that may be said.
     - `parameters` of the equation.
-    - `explained`: whether causes of what is left were weighed, or a fault of a sensor explains it:
-      then a peak of its spectrum says nothing more.
+    - `explained`: whether causes of what is left were weighed, and found, a fault of a sensor
+      explains it, or windows let nothing of it through: then a peak of its spectrum says no more.
     """
 
     name: str
@@ -477,7 +477,8 @@ class EquationResidual(NamedTuple):
                 f"windows longer than {1 / peak.frequency:.2g} s, over which it averages out."
             )
             step, remedy = self._to_add()
-            made.append(Finding("unmodelled_mode", said, remedy=remedy, step=step))
+            # What rings is a share of the target, and of what makes it at the most.
+            made.append(Finding("unmodelled_mode", said, doubt=peak.size, remedy=remedy, step=step))
         found = [*made, *self._uneven()]
         return [finding._replace(parameters=self.parameters) for finding in found]
 
@@ -506,6 +507,9 @@ class EquationResidual(NamedTuple):
         if self.dampers:
             words = "Find a spring in series with a damper, which the model leaves out"
             return words, ("--add-spring", self.dampers[0])
+        if self.maps:
+            spring = f"model.with_series_springs(rx.SeriesSpring('{self.maps[0]}'))"
+            return f"Add a spring in series with a damper, in Python: {spring}, then rx.refine", ()
         return "", ()
 
     def _uneven(self) -> Iterator[Finding]:
@@ -616,10 +620,15 @@ def residual_tests(
     first = recordings[0]
     reads = [e.signals_read(first, of[0].span) for e, of in zip(model.equations, errors)]
     faulty = {name for fault in faults for name in fault.signals}
+    concerned = {name for fault in faults for name in fault.doubts}
+    fastest = np.inf if windows is None else 2 / float(windows.alpha)
+    earlier = set[str]()
     found, parts = [], zip(names, errors, model.equations, reads, strict=True)
     for name, of_equation, equation, read in parts:
         error = joined(of_equation, lags)
         spectrum = error_spectrum(error)
+        peak, own = spectrum.peak(), {*equation.parameters} - earlier
+        earlier |= own
         # Where the equation could hide something.
         sprung = {spring.of for spring in model.springs}
         elements = force_elements(model.equations, [equation])
@@ -629,14 +638,16 @@ def residual_tests(
             error,
             autocorrelation(error.series, lags, float(error.time_step)),
             spectrum,
-            spectrum.peak(),
+            peak,
             None if windows is None else window_errors(of_equation, windows),
             bodies=accelerated(equation),
             carrying=tuple(m.on for m in model.modes if m.term_in(equation) is not None),
             dampers=tuple(name for name, term in free.items() if term.is_linear),
             maps=tuple(name for name, term in free.items() if not term.is_linear),
             parameters=equation.parameters,
-            explained=weighed or not faulty.isdisjoint(read),
+            explained=(weighed and not own.isdisjoint(concerned))
+            or not faulty.isdisjoint(read)
+            or (peak is not None and peak.frequency > fastest),
         )
         found.append(residual)
     return ResidualTests(tuple(found), tuple(faults))
