@@ -446,7 +446,7 @@ class EquationResidual(NamedTuple):
       those of `carrying` that carry one in the model.
     - `dampers`: coefficients with which a spring that the model lacks could be in series, and
       the first ones of `maps` of which that may be said.
-    - `parameters` of the equation.
+    - `parameters` of the equation that no earlier stage has found.
     - `explained`: whether causes of what is left were weighed, and found, a fault of a sensor
       explains it, or windows let nothing of it through: then a peak of its spectrum says no more.
     """
@@ -477,8 +477,10 @@ class EquationResidual(NamedTuple):
                 f"windows longer than {1 / peak.frequency:.2g} s, over which it averages out."
             )
             step, remedy = self._to_add()
-            # What rings is a share of the target, and of what makes it at the most.
-            made.append(Finding("unmodelled_mode", said, doubt=peak.size, remedy=remedy, step=step))
+            # What rings is that share of what windows leave of the target.
+            left = 0.0 if self.windows is None else self.windows.relative_rms
+            doubt = min(left * float(np.sqrt(peak.share)), 1.0)
+            made.append(Finding("unmodelled_mode", said, doubt=doubt, remedy=remedy, step=step))
         found = [*made, *self._uneven()]
         return [finding._replace(parameters=self.parameters) for finding in found]
 
@@ -644,7 +646,7 @@ def residual_tests(
             carrying=tuple(m.on for m in model.modes if m.term_in(equation) is not None),
             dampers=tuple(name for name, term in free.items() if term.is_linear),
             maps=tuple(name for name, term in free.items() if not term.is_linear),
-            parameters=equation.parameters,
+            parameters=tuple(name for name in equation.parameters if name in own),
             explained=(weighed and not own.isdisjoint(concerned))
             or not faulty.isdisjoint(read)
             or (peak is not None and peak.frequency > fastest),
