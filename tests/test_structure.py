@@ -17,9 +17,9 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 49_365,
+    "src lines": 49_380,
     "src modules": 209,
-    "src statements": 23_690,
+    "src statements": 23_700,
     "src literals": 1_445,
     "lines of commands and settings": 2_300,
     "tests lines": 27_405,
