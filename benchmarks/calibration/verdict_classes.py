@@ -341,15 +341,6 @@ def step_tests(rng: np.random.Generator, systems: int) -> list[Case]:
     ]
 
 
-MOTOR = rx.Equation(
-    rx.Term("J", "w", derivative=1, unit="kg m^2"),
-    rx.Term("B", "w", unit="N m s"),
-    -rx.Term(1.0, "T"),
-    name="motor",
-    unit="N m",
-)
-
-
 def load_on_spring(rng: np.random.Generator, systems: int) -> list[Case]:
     """A motor that turns a load by a spring, seen from the motor as if both were one body.
 
@@ -380,7 +371,9 @@ def load_on_spring(rng: np.random.Generator, systems: int) -> list[Case]:
         truth = {"J": float(inertia[i] + load[i]), "B": float(damping[i])}
         own = {"J": float(inertia[i])}
         found.append(
-            Case("load on a spring", "mode left out", level, MOTOR, record, truth, beside_mode=own)
+            Case(
+                "load on a spring", "mode left out", level, SPINDLE, record, truth, beside_mode=own
+            )
         )
     return found
 

@@ -91,6 +91,10 @@ class Folds(NamedTuple):
         at, total = self.columns(names), self.motion.sum(0)
         return solved(total[np.ix_(at, at)], total[at, 0])
 
+    def values(self, names: Sequence[str]) -> dict[str, float]:
+        """The same by name."""
+        return dict(zip(names, self.fitted(names).tolist()))
+
     def unexplained(self, names: Sequence[str]) -> Float[np.ndarray, " folds"]:
         """Energy of the motion that the coefficients from all folds leave of each."""
         at, row = np.append(0, self.columns(names)), np.append(1.0, -self.fitted(names))

@@ -131,10 +131,8 @@ def _spoils(was: Doubt, now: Doubt, may_leave: bool) -> bool:
     return was.is_good and not (now.is_good and stays)
 
 
-def tried(
-    evidence: Evidence, again: Callable[[Sequence[str]], Evidence]
-) -> Iterator[tuple[Step, Evidence]]:
-    """Steps that are proposed and help, with what is known after each.
+def tried(evidence: Evidence, again: Callable[[Sequence[str]], Evidence]) -> Iterator[Step]:
+    """Steps that are proposed and help.
 
     **Arguments:** `again` assesses with further options.
     """
@@ -151,7 +149,7 @@ def tried(
             was, now = (each.answer for each in (evidence, after))
             names = [name for name in was.parameters if name in now.parameters]
             changed = {name: (float(was[name]), float(now[name])) for name in names}
-            yield replace(step, changed=changed), after
+            yield replace(step, changed=changed)
 
 
 def proposals(evidence: Evidence) -> Iterator[Step]:

@@ -143,13 +143,12 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
     assessment, steps, before = _assessed(asked), [], None
     for number in range(settings.follow + 1):
         trial = functools.partial(_trial, asked)
-        helping = [*tried(assessment, trial)]
-        steps_that_help = {step.options: step for step, _ in helping}
-        assessment = replace(assessment, tried=steps_that_help, followed=(*steps,), before=before)
+        helping = {step.options: step for step in tried(assessment, trial)}
+        assessment = replace(assessment, tried=helping, followed=(*steps,), before=before)
         if number == settings.follow or not helping:
             break
-        step, _ = helping[0]
-        asked = asked.with_options(step.options)
+        options, step = next(iter(helping.items()))
+        asked = asked.with_options(options)
         steps.append(step)
         before, assessment = assessment, _assessed(asked)
     return assessment
@@ -159,8 +158,7 @@ def _trial(asked: Asked, options: Sequence[str]) -> Assessment:
     """An assessment with further options, without what is slow and what tells of no parameter."""
     quiet: dict[str, Any] = {"validate_on": (), "tests": (), "on_estimate": None}
     asked = asked.with_options(options)
-    asks_refinement = "--refine" in options
-    refine = asked.settings.refine if asks_refinement else "none"
+    refine = asked.settings.refine if "--refine" in options else "none"
     return _assessed(asked._replace(settings=replace(asked.settings, refine=refine, **quiet)))
 
 

@@ -56,9 +56,9 @@ def causes(evidence: Evidence, by_name: Mapping[str, Doubt]) -> list[Cause]:
         if kind == "data":
             sizes = [by_name[name].scatter_share for name in concerned]
         else:
-            sizes = [max([f.doubt, *f.doubts.values()]) for f in findings]
+            sizes = [_largest(finding) for finding in findings]
         share = max(sizes, default=0.0)
-        told = max(findings, key=lambda f: max([f.doubt, *f.doubts.values()]))
+        told = max(findings, key=_largest)
         phrase = told.about.said(told.signals, told.parameters)
         steps = [evidence.tried_step(step) for f in findings for step in steps_of(f, findings)]
         # A longer record mends no good value.
@@ -70,6 +70,11 @@ def causes(evidence: Evidence, by_name: Mapping[str, Doubt]) -> list[Cause]:
     return sorted(
         grouped, key=lambda c: (c.kind != "undetermined", not c.voids, not c.spoils, -c.share)
     )
+
+
+def _largest(finding: Finding) -> float:
+    """The largest share that a finding states."""
+    return max([finding.doubt, *finding.doubts.values()])
 
 
 Level = Literal["good", "caution", "do not use"]

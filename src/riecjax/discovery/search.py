@@ -447,7 +447,7 @@ class Sums:
                     f"choose a smaller beta."
                 )
             names = search.names(chosen)
-            self.known |= dict(zip(names, map(float, search.folds.fitted(names))))
+            self.known |= search.folds.values(names)
             stages.append((search, search.in_order(chosen)))
         return stages
 

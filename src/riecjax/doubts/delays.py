@@ -110,9 +110,7 @@ def settled(
         if abs(told.value) <= max(SETTLED * told.error, 1e-9 * most) or turn == TURNS - 1:
             left = float(folds.left(names).motion.sum())
             return settled_at(size, told, folds, names, left, step)._replace(low_passed=lagged)
-        asked = asked.with_values(
-            dict(zip((*names, doubt.name), folds.fitted((*names, doubt.name))))
-        )
+        asked = asked.with_values(folds.values((*names, doubt.name)))
         size += float(np.clip(told.value, -farthest, farthest))
         if abs(size) > most or (lagged and size <= 0):
             return None
@@ -124,7 +122,7 @@ def settled_at(
 ) -> Settled:
     """So much of a doubt, of which a column was `told` beside those of these names, which leave
     an energy of the motion."""
-    values = dict(zip(names, folds.fitted(names).tolist()))
+    values = folds.values(names)
     reach = float(tails.student(LEVEL / 2, told.freedom)) * told.error
     return Settled(size, told.error, reach, left / folds.energy, values, step)
 

@@ -183,15 +183,11 @@ class Weighing:
     def _unexplained(self, mode: Cause | None) -> Cause | None:
         """Doubts that explain a part of what is left, let in one after the other, with the farthest
         that any of them, or a mode, moves each parameter."""
-        rough, fits = self.rough, list[dict[str, float]]()
-        chosen, moved = rough.admitted(), dict[str, float]()
-        for count in range(len(chosen) + 1):
-            names = rough.names(chosen[:count])
-            fits.append(dict(zip(names, rough.folds.fitted(names).tolist())))
+        rough, chosen = self.rough, self.rough.admitted()
+        some = (rough.names(chosen[:count]) for count in range(len(chosen) + 1))
+        fits = [rough.folds.values(names) for names in some]
         moves = [self._moved(fit, fits[0]) for fit in fits[1:]]
-        moves += [] if mode is None else [mode.moved]
-        for name, share in (entry for some in moves for entry in some.items()):
-            moved[name] = max(moved.get(name, 0.0), share, key=abs)
+        moved = _farthest([*moves, *([] if mode is None else [mode.moved])])
         before, left = (rough.rms(rough.left(some)) for some in ([], chosen))
         if chosen and (mode is None or left < mode.left):
             size = fits[-1][chosen[0].name]
@@ -256,19 +252,17 @@ class Weighing:
         zeros = [one for one in causes.of("zero") if drifts and one.signals == doubt.signals]
         chosen = [*chosen, *zeros]
         names, without = causes.names(chosen), causes.names(beside)
-        after = dict(zip(names, folds.fitted(names).tolist()))
+        after = folds.values(names)
         if undone is None and doubt.kind in ("zero", "gain", "drift"):
             # Its column is made with the parameters that it moves.
             again = folds_of(self.asked.with_values(after), self.records, chosen)
-            after = dict(zip(names, again.fitted(names).tolist()))
+            after = again.values(names)
         # Of delays that change the best is told.
         instead = [] if undone is not None and undone.course else causes.instead(chosen, doubt)
-        before = dict(zip(without, folds.fitted(without).tolist()))
-        moved = self._moved(after if undone is None else undone.values, before)
-        for other in instead:
-            names = causes.names([*beside, other])
-            again = self._moved(dict(zip(names, folds.fitted(names).tolist())), before)
-            moved = {n: max(share, again.get(n, 0.0), key=abs) for n, share in moved.items()}
+        before = folds.values(without)
+        others = [folds.values(causes.names([*beside, other])) for other in instead]
+        values = [after if undone is None else undone.values, *others]
+        moved = _farthest([self._moved(each, before) for each in values])
         return Cause(
             doubt,
             after[doubt.name] if undone is None else undone.size,
@@ -330,10 +324,7 @@ class Weighing:
         for doubt, asked in elsewhere(mode, self.records):
             folds = folds_of(asked, self.records, [doubt])
             names = [name for name in folds.parameters if name != doubt.name]
-            before, after = (
-                dict(zip(some, folds.fitted(some).tolist())) for some in (names, folds.parameters)
-            )
-            moved = self._moved(after, before) | moved
+            moved = self._moved(folds.values(folds.parameters), folds.values(names)) | moved
         return cause._replace(moved=moved)
 
     def _rings(self, mode: Cause) -> bool:
@@ -349,6 +340,12 @@ class Weighing:
             if name in self.asked.values and name not in found and value and column in after:
                 found[name] = after[column] / value - 1
         return found
+
+
+def _farthest(moves: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Of each parameter the largest of its moves, with its sign."""
+    names = dict.fromkeys(name for some in moves for name in some)
+    return {name: max((some.get(name, 0.0) for some in moves), key=abs) for name in names}
 
 
 def can_be_weighed(model: Model, records: Sequence[Record], estimate: Estimate) -> bool:

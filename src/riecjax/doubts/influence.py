@@ -36,11 +36,7 @@ def with_doubts(
             if not any(remedies):
                 continue
             other = again([undone(one, options) for one, options in zip(records, remedies)])
-            doubts[code] = {
-                name: abs(float(other[name]) / float(estimate[name]) - 1)
-                for name in estimate.parameters
-                if name in other.parameters and float(estimate[name])
-            }
+            doubts[code] = estimate.moves_to(other)
     findings = []
     for finding in checked.findings:
         if moved := doubts.get(finding.code):

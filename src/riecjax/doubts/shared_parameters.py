@@ -52,10 +52,9 @@ def refuted(
         message = f"{says} as earlier equations found them, and together they find none: {error}"
         return [Finding("stages_disagree", message, parameters=tuple(shared), doubt=1.0)]
     doubts = {
-        name: abs(float(other[name]) / float(estimate[name]) - 1)
-        for name in estimate.parameters
+        name: share
+        for name, share in estimate.moves_to(other).items()
         if abs(float(other[name] - estimate[name])) > MOVES * estimate.standard_error(name)
-        and float(estimate[name])
     }
     if not doubts:
         return []

@@ -681,6 +681,14 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
             for one in found
         ]
 
+    def moves_to(self, other: "Estimate") -> dict[str, float]:
+        """Share of its value by which another estimate's differs, of each parameter of both."""
+        return {
+            name: abs(float(other[name]) / float(self[name]) - 1)
+            for name in self.parameters
+            if name in other.parameters and float(self[name])
+        }
+
     def _of(self, values: Float[Array, "*batch p"], name: str) -> Float[Array, "*batch"]:
         index = self._index(name)
         return values[..., index] if self.batch_shape else _single(values, index)

@@ -250,12 +250,12 @@ def unlike_windows(estimate: "Estimate", over_windows: "Estimate") -> list[Findi
     """`window_sensitive`, of an estimate without windows that differs from one over windows by more
     than chance makes both."""
     doubts = {}
-    for name in estimate.parameters:
+    for name, share in estimate.moves_to(over_windows).items():
         value, other = float(estimate[name]), float(over_windows[name])
         errors = (float(each.standard_error(name)) for each in (estimate, over_windows))
         error = float(np.linalg.norm([*errors]))
-        if abs(value - other) > float(tails.normal(LEVEL / 2)) * error and value:
-            doubts[name] = abs(other / value - 1)
+        if abs(value - other) > float(tails.normal(LEVEL / 2)) * error:
+            doubts[name] = share
     if not doubts:
         return []
     most = max(doubts, key=lambda name: doubts[name])
