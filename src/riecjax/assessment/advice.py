@@ -109,9 +109,9 @@ def helps(before: Evidence, after: Evidence) -> bool:
     """Whether a step from one assessment to another makes it better."""
     was, now = doubts(before), doubts(after)
     common = was.keys() & now.keys()
-    # Of a body that carries a hidden one, its own mass is another thing than that of both.
+    # Beside a hidden body a mass is another thing, and equations are not weighed.
     is_split = after.model.has_hidden and not before.model.has_hidden
-    if not common or any(_spoils(was[name], now[name], is_split) for name in common):
+    if not common or (not is_split and any(_spoils(was[name], now[name]) for name in common)):
         return False
     # What a step adds is carried by the recordings.
     ruling = (finding for finding in after.findings() if finding.about.rules_out)
@@ -125,10 +125,9 @@ def helps(before: Evidence, after: Evidence) -> bool:
     return sum(sizes[len(common) :]) < sum(sizes[: len(common)])
 
 
-def _spoils(was: Doubt, now: Doubt, may_leave: bool) -> bool:
-    """Whether a value that was good is good no more, or leaves its doubt, unless it may."""
-    stays = may_leave or was.ends[0] <= now.value <= was.ends[1]
-    return was.is_good and not (now.is_good and stays)
+def _spoils(was: Doubt, now: Doubt) -> bool:
+    """Whether a value that was good is good no more, or leaves its doubt."""
+    return was.is_good and not (now.is_good and was.ends[0] <= now.value <= was.ends[1])
 
 
 def tried(evidence: Evidence, again: Callable[[Sequence[str]], Evidence]) -> Iterator[Step]:
