@@ -19,7 +19,7 @@ STEPS = 10
 TONES = 6
 
 State = Float[np.ndarray, "states systems"]
-Force = Callable[[float], np.ndarray]
+Force = Callable[[float | np.ndarray], np.ndarray]
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float, size: int) -> np.ndarray:

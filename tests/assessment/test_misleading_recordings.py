@@ -199,6 +199,7 @@ def test_no_step_is_told_that_the_next_run_refuses():
             continue
         for cause in assessment.verdict.causes:
             if cause.step is not None and cause.step.options:
+                assert assessment.tried is not None
                 assert cause.step.options in assessment.tried
                 assert cause.step.changed
 
@@ -209,6 +210,7 @@ def test_no_more_steps_are_followed_than_were_asked_for(follow):
     assert len(assessment.followed) <= follow
     before = assessment
     for _ in assessment.followed:
+        assert before.before is not None
         before = before.before
     assert before.before is None
     assert before.followed == ()
