@@ -135,10 +135,10 @@ def test_records_are_joined_with_a_gap_and_take_their_own_parameters():
     values = {"m": 2.0, "c": 3.0, "offset[1]": 0.0, "offset[2]": 6.0}
     (parts,) = errors_over_records(model, records, values)
     np.testing.assert_allclose(parts[0].error, parts[1].error, atol=1e-9)
-    whole = joined(parts, 7)
-    assert whole.error.shape == (2 * 399 + 7,)
-    assert int(jnp.sum(~whole.present)) == 7
-    np.testing.assert_array_equal(whole.error[399 + 7 :], parts[1].error)
+    whole = joined(parts)
+    assert whole.error.shape == (2 * 399 + 1,)
+    assert int(jnp.sum(~whole.present)) == 1
+    np.testing.assert_array_equal(whole.error[399 + 1 :], parts[1].error)
 
 
 def test_what_cannot_be_computed_says_so():

@@ -191,16 +191,12 @@ class WindowErrors(Part):
     mean_square_ratio: Number
     target_mean_square_ratio: Number
     p_value: Number
-    correlation: Number
-    mean_length_over_record: Number
 
 
 class ResidualTest(Part):
     """Tests of what one equation leaves, sample by sample."""
 
     relative_rms: Number
-    correlation_time_s: Number
-    integrated_autocorrelation_s: Number
     band_hz: Number
     peak: Peak | None
     windows: WindowErrors | None = None

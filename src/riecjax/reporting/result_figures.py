@@ -352,8 +352,8 @@ def _share(residual: EquationResidual) -> str:
 
 
 def residual_figure(residual: EquationResidual) -> Chart:
-    """What one equation leaves over time, lag and frequency."""
-    error, found = residual.error, residual.autocorrelation
+    """What one equation leaves over time and frequency."""
+    error = residual.error
     # The error and its target over the longest stretch's beginning.
     runs = error.runs() or [slice(0, 1)]
     run = max(runs, key=lambda each: each.stop - each.start)
@@ -375,23 +375,14 @@ def residual_figure(residual: EquationResidual) -> Chart:
         Axis("time / s"),
         Axis(labelled("impulse of the error", unit)),
     )
-    noise = Span(-found.bound, found.bound, "y", "white noise, 95 %")
-    stems = np.stack([0 * found.values, found.values, np.nan * found.values], axis=1)
-    autocorrelation = Panel(
-        [noise, Level(0), Line(np.repeat(found.lag, 3), stems.ravel(), width=THIN)],
-        Axis("lag / s"),
-        Axis("autocorrelation of the error", low=-BEYOND, high=BEYOND),
-        columns=2,
-    )
     return Chart(
         (
             (excerpt, impulse),
-            (autocorrelation,),
             (_spectra(residual),),
         ),
         f"What {residual.name} leaves, sample by sample: root mean square error "
-        f"{_share(residual)}. Above, its beginning and its impulse; then its correlation with "
-        "itself; and its spectrum, in which a mode that the model leaves out is a peak.",
+        f"{_share(residual)}. Above, its beginning and its impulse; below, its spectrum, in which "
+        "a mode that the model leaves out is a peak.",
     )
 
 

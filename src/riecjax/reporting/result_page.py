@@ -187,7 +187,6 @@ def residual_table(tests: Mapping[str, parts.ResidualTest]) -> Table:
     cells = {
         "error / %": lambda test: _percent(test.relative_rms),
         "peak / Hz": lambda test: f"{test.peak.frequency:.3g}" if test.peak else "none",
-        "alike for / s": lambda test: number(test.correlation_time_s, 2),
     }
     return Table.of("equation", tests.items(), cells)
 

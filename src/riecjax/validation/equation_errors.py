@@ -181,22 +181,22 @@ def errors_over_records(
     return [list(of_equation) for of_equation in zip(*parts)]
 
 
-def joined(errors: Sequence[EquationError], pad: int) -> EquationError:
+def joined(errors: Sequence[EquationError]) -> EquationError:
     """One equation's errors on several records, one record after the other.
 
-    Between records stand `pad` values that are not present, so that no two values less than `pad`
-    apart belong to different records, and times go on. Arrays are NumPy's, for tests and figures.
+    Between records stands a value that is not present, and times go on. Arrays are NumPy's, for
+    tests and figures.
     """
     series = {}
     for field in ("error", "explained", "present"):
         parts = [np.asarray(getattr(part, field)) for part in errors]
-        between = np.zeros(pad, parts[0].dtype)
+        between = np.zeros(1, parts[0].dtype)
         series[field] = np.concatenate([piece for part in parts for piece in (between, part)][1:])
     first, step = errors[0], float(errors[0].time_step)
     times = [np.asarray(first.times)]
     for part in errors[1:]:
-        last, own = times[-1][-1], np.asarray(part.times)
-        times += [last + step * np.arange(1, pad + 1), own - own[0] + last + step * (pad + 1)]
+        between, own = times[-1][-1:] + step, np.asarray(part.times)
+        times += [between, own - own[0] + between + step]
     return dataclasses.replace(
         first,
         **series,

@@ -5,17 +5,9 @@ shows as a peak of the error's spectrum, and stretches of the record that do not
 as errors of unequal size. Each is reported only where chance does not explain it and it is large
 enough to matter.
 
-Second-order statistics of an equation error: autocorrelation, spectrum, and what chance would make.
-
-Both are of the error as a series in time with gaps. The autocorrelation says how long it stays like
-itself; the spectrum over which frequencies it is spread, and whether it gathers in a peak.
-
-Eq. (18) on recorded data: whether errors of random windows have one variance and no correlation.
-
-The paper argues by symmetry. Windows drawn at random have one expected mean square error sigma^2,
-and any two of them one cross-correlation epsilon, small if windows are much shorter than the
-record. The symmetry holds before anything is known of the record. On a given one the errors of
-some stretches can outweigh all others, or all errors can share a constant part.
+Eq. (18) says that windows drawn at random have one expected mean square error. That holds before
+anything is known of the record: on a given one the errors of some stretches can outweigh all
+others.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,7 +16,6 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
-import scipy
 from jaxtyping import Array, Float
 
 from riecjax import tails
@@ -43,71 +34,6 @@ from riecjax.validation.equation_errors import (
     joined,
     share_of,
 )
-
-LEVEL = 0.05
-"""Probability that white noise alone passes a bound."""
-
-# What the integrated autocorrelation says. A sum over m = lags + 1 successive values has the
-# variance s^2 (m + 2 sum_(k < m) (m - k) r(k)): in units of m s^2, that of white noise, it is
-# 1 + 2 sum (1 - k/m) r(k). It goes to zero where eq. (8) bounds the impulse of the error, since
-# the variance then stays while m grows.
-
-
-class Autocorrelation(NamedTuple):
-    """Correlation of an error with itself.
-
-    **Fields:**
-
-    - `lag` in seconds and `values`, of the same shape.
-    - `bound`: 95 % of the values of white noise lie within plus or minus this.
-    """
-
-    lag: Float[np.ndarray, " lags"]
-    values: Float[np.ndarray, " lags"]
-    bound: float
-
-    @property
-    def correlation_time(self) -> float:
-        """Sum of the squared values over lags of both signs, in seconds.
-
-        How long it stays like itself, with either sign. One time step for white noise.
-        """
-        return float(self.lag[1] * (1 + 2 * np.sum(self.values[1:] ** 2)))
-
-    @property
-    def integrated(self) -> float:
-        """The sum of the values themselves, tapered to the longest lag, in seconds.
-
-        One time step for white noise; near zero where only modes make the error.
-        """
-        taper = 1 - np.arange(1, self.lag.size) / self.lag.size
-        return float(self.lag[1] * (1 + 2 * np.sum(taper * self.values[1:])))
-
-
-Series = Float[np.ndarray, " n"]
-"""Values in time, NaN where they are missing."""
-
-
-def autocorrelation(series: Series, lags: int, time_step: float) -> Autocorrelation:
-    """Autocorrelation about the mean at lags from zero; zero at others where nothing varies.
-
-    The mean product of the pairs that are there at each lag, over the mean square.
-    """
-    there, lag = ~np.isnan(series), np.arange(lags + 1)
-    held = max(np.count_nonzero(there), 1)
-    bound = float(tails.normal(LEVEL / 2) / np.sqrt(held))
-    centred = np.where(there, series - np.sum(series, where=there) / held, 0.0)
-    mean_square = float(np.linalg.norm(centred) ** 2) / held
-    values = np.where(lag == 0, 1.0, 0.0)
-    if mean_square > 0:
-        # With as many zeros behind them as keep products at all lags apart.
-        size = int(scipy.fft.next_fast_len(2 * series.size, real=True) or 0)
-        spectra = np.fft.rfft([centred, there], size)
-        sums, pairs = np.fft.irfft(spectra * np.conj(spectra), size)[:, : lags + 1]
-        pairs = np.round(pairs)
-        values = np.where(pairs > 0, sums / np.maximum(pairs, 1) / mean_square, 0.0)
-    return Autocorrelation(lag * time_step, values, bound)
-
 
 # When a peak is no chance. One periodogram scatters by its own size. The mean over K segments under
 # Hann windows that overlap by half scatters by sqrt((1 + 2 c^2) / K), where neighbouring segments
@@ -275,22 +201,6 @@ def error_spectrum(error: EquationError) -> ErrorSpectrum:
     return ErrorSpectrum(np.fft.rfftfreq(length, step), *densities, segments=count)
 
 
-# Why eq. (18) allows ordinary least squares. With n windows the errors' covariance is
-#
-#     S = sigma^2 ((1 - epsilon) I + epsilon 1 1'),
-#     S^-1 = (I - c 1 1') / (sigma^2 (1 - epsilon)),   c = epsilon / (1 - epsilon + n epsilon),
-#
-# so that generalised least squares solves (A'A - c A'1 1'A) theta = A'y - c A'1 1'y. Regressors of
-# zero mean have A'1 = 0, and this is ordinary least squares whatever epsilon is. What a constant
-# part does harm to is the average: the mean of n errors has the variance
-# sigma^2 ((1 - epsilon) / n + epsilon), which does not fall below epsilon sigma^2.
-#
-# How large epsilon is by chance. White noise of density N has E e_1 e_2 = N E(overlap) for two
-# windows and E e^2 = N E(T). A window covers an instant with probability about E(T) / t_max, two
-# windows both with its square, so E(overlap) = E(T)^2 / t_max and epsilon = E(T) / t_max. The mean
-# error being normal, the estimate below is epsilon times chi-square with one degree of freedom,
-# which exceeds 10 with a probability of 0.2 %.
-
 LENGTHS = 4
 """Window lengths from alpha to beta, each at every start."""
 BLOCK_LENGTH = 2
@@ -315,9 +225,6 @@ class WindowErrors(NamedTuple):
     - `target_mean_square`: the same of the target.
     - `p_value`: probability that equal stretches differ as much; NaN where the record is too short
       for three stretches.
-    - `correlation`: epsilon, the mean product of the errors of two windows drawn at random from
-      one record, over the mean square.
-    - `window_share`: mean T / t_max, the epsilon of white noise.
     """
 
     relative_rms: float
@@ -326,8 +233,6 @@ class WindowErrors(NamedTuple):
     mean_square: Float[np.ndarray, " stretches"]
     target_mean_square: Float[np.ndarray, " stretches"]
     p_value: float
-    correlation: float
-    window_share: float
 
     @property
     def ratio(self) -> float:
@@ -350,9 +255,10 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
     longest = max(round(beta / step), 1)
     lags = np.unique(np.round(np.geomspace(max(alpha / step, 1), longest, LENGTHS)).astype(int))
     length = BLOCK_LENGTH * longest
-    sizes = [error.error.size for error in errors]
-    # Of each record the first sample of each block of time; over the windows in it the mean error,
-    # and the mean squares of error and target.
+    # In the joined errors one value stands between records.
+    sizes = [error.error.size + 1 for error in errors]
+    # Of each record the first sample of each block of time, and over the windows in it the mean
+    # squares of error and target.
     records = []
     for error, before in zip(errors, np.cumsum([0, *sizes[:-1]])):
         # Blocks of each unbroken stretch, the rest of it left out.
@@ -362,9 +268,11 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
             for start in range(run.start, run.stop - length + 1, length)
         ]
         starts = np.array(starts, int)
-        mean, square = _rises(np.asarray(error.error) * step, starts, lags, length)
-        _, of_target = _rises(np.asarray(error.target) * step, starts, lags, length)
-        records.append(np.array([starts + before, mean, square, of_target]))
+        squares = (
+            _squares(np.asarray(each) * step, starts, lags, length)
+            for each in (error.error, error.target)
+        )
+        records.append(np.array([starts + before, *squares]))
     count = sum(blocks.shape[1] for blocks in records)
     if count < 2:
         return None
@@ -377,16 +285,15 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
     # Analysis of variance of the logarithms of the blocks' mean squares. A mean square of nu
     # degrees of freedom scatters in proportion to its size, its logarithm by about sqrt(2 / nu)
     # whatever the size, as the analysis presumes; nor does one loud block decide.
-    squares = [square for _, _, square, _ in stretches]
+    squares = [square for _, square, _ in stretches]
     p_value = float("nan")
     largest = max((square.max() for square in squares), default=0.0)
     if len(squares) >= FEWEST_STRETCHES and largest > min(square.min() for square in squares):
         logarithms = [np.log(np.maximum(square, SILENT * largest)) for square in squares]
         p_value = tails.equal_means(logarithms)
-    _, _, error, target = np.hstack(records).mean(axis=1)
     # Every block holds as many windows, so that means of blocks are means of windows.
-    shared = sum(mean.size * mean.mean() ** 2 for _, mean, _, _ in records if mean.size)
-    middle, half = np.asarray(joined(errors, 0).times), 0.5 * errors[0].span * step
+    _, error, target = np.hstack(records).mean(axis=1)
+    middle, half = np.asarray(joined(errors).times), 0.5 * errors[0].span * step
     first = np.array([start[0] for start, *_ in stretches], int)
     last = np.array([start[-1] + length - 1 for start, *_ in stretches], int)
     return WindowErrors(
@@ -394,29 +301,26 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
         start=middle[first] - half,
         stop=middle[last] + half,
         mean_square=share_of(np.array([square.mean() for square in squares]), error),
-        target_mean_square=share_of(np.array([part[3].mean() for part in stretches]), target),
+        target_mean_square=share_of(np.array([part[2].mean() for part in stretches]), target),
         p_value=p_value,
-        correlation=float(share_of(shared / count, error)),
-        window_share=float(np.mean(lags) * len(sizes) / np.sum(sizes)),
     )
 
 
-def _rises(
+def _squares(
     values: np.ndarray, starts: np.ndarray, lags: np.ndarray, length: int
-) -> tuple[Float[np.ndarray, " blocks"], Float[np.ndarray, " blocks"]]:
-    """Mean and mean square of sums over every window of these lengths in blocks from `starts` on.
+) -> Float[np.ndarray, " blocks"]:
+    """Mean square of sums over every window of these lengths in blocks from `starts` on.
 
     A window's sum is the rise of the block's own running sum, one lag for all blocks at a time.
     """
-    mean, square = np.zeros(starts.size), np.zeros(starts.size)
+    square = np.zeros(starts.size)
     windows = int(np.sum(length + 1 - lags))
     blocks = values[starts[:, None] + np.arange(length)]
     running = np.pad(np.cumsum(blocks, axis=1), [(0, 0), (1, 0)])
     for lag in lags:
         rises = running[:, lag:] - running[:, :-lag]
-        mean += rises.sum(1) / windows
         square += np.einsum("ij,ij->i", rises, rises) / windows
-    return mean, square
+    return square
 
 
 def _ratio(mean_square: np.ndarray) -> float:
@@ -438,7 +342,6 @@ class EquationResidual(NamedTuple):
     **Fields:**
 
     - `name` of the equation, unlike that of others; its `error` over all records, see `joined`.
-    - `autocorrelation` of the error.
     - `spectrum`, and its `peak` if there is a genuine one.
     - `windows`: eq. (18) on these records; `None` for a criterion without windows, or records too
       short for four of the longest.
@@ -453,7 +356,6 @@ class EquationResidual(NamedTuple):
 
     name: str
     error: EquationError
-    autocorrelation: Autocorrelation
     spectrum: ErrorSpectrum
     peak: Peak | None
     windows: WindowErrors | None
@@ -469,50 +371,40 @@ class EquationResidual(NamedTuple):
         made: list[Finding] = []
         peak = None if self.explained else self.peak
         if peak is not None and peak.size >= NOTABLE_SIZE:
+            words, remedy, python = self._to_add()
+            ways = "; ".join(filter(None, (" ".join(remedy), f"in Python: {python}")))
             said = (
                 f"{self.name}: the equation error peaks near {peak.frequency:.3g} Hz, and "
                 f"{in_percent(peak.share, '.0f')} of its power up to "
                 f"{self.spectrum.band:.3g} Hz lies from {peak.low:.3g} to {peak.high:.3g} Hz: "
-                f"the model leaves out a mode there, or gets one wrong. {self._add()}, or use "
-                f"windows longer than {1 / peak.frequency:.2g} s, over which it averages out."
+                f"the model leaves out a mode there, or gets one wrong. "
+                f"{f'{words} ({ways}), or use' if words else 'Use'} windows longer than "
+                f"{1 / peak.frequency:.2g} s, over which it averages out."
             )
-            step, remedy = self._to_add()
             # What rings is that share of what windows leave of the target.
             left = 0.0 if self.windows is None else self.windows.relative_rms
             doubt = min(left * float(np.sqrt(peak.share)), 1.0)
+            step = words if remedy or not python else f"{words}, in Python: {python}"
             made.append(Finding("unmodelled_mode", said, doubt=doubt, remedy=remedy, step=step))
         found = [*made, *self._uneven()]
         return [finding._replace(parameters=self.parameters) for finding in found]
 
-    def _add(self) -> str:
-        if self.carrying:
-            late = "a force may follow late: add a spring in series with it"
-            if self.dampers:
-                spring = f"rx.SeriesSpring('{self.dampers[0]}')"
-                late += f" (on the command line: --add-spring {self.dampers[0]}; {spring})"
-            elif self.maps:
-                late += f" (in Python: rx.SeriesSpring('{self.maps[0]}'), and rx.refine)"
-            else:
-                late = "something else is missing: add it"
-            return f"Beside the mode on {' and '.join(self.carrying)} {late}"
-        if not self.bodies:
-            return "Add the mode"
-        return (
-            f"Find the mode on {' or '.join(self.bodies)} (on the command line: --add-mode "
-            f"{self.bodies[-1]}; rx.HiddenMode('{self.bodies[-1]}'))"
-        )
+    def _to_add(self) -> tuple[str, tuple[str, ...], str]:
+        """What the model may lack, in words, as options of `riecjax identify`, and in Python.
 
-    def _to_add(self) -> tuple[str, tuple[str, ...]]:
-        """The same in few words, and as options of `riecjax identify`."""
+        Beside a mode a force may follow late, by a spring in series with its damper.
+        """
         if self.bodies and not self.carrying:
-            return "Find the mode that the model leaves out", ("--add-mode", self.bodies[-1])
+            body = self.bodies[-1]
+            words = f"Find the mode on {body} that the model leaves out"
+            return words, ("--add-mode", body), f"rx.HiddenMode('{body}')"
+        words = "Find a spring in series with a damper, which the model leaves out"
         if self.dampers:
-            words = "Find a spring in series with a damper, which the model leaves out"
-            return words, ("--add-spring", self.dampers[0])
+            options = ("--add-spring", self.dampers[0])
+            return words, options, f"rx.SeriesSpring('{self.dampers[0]}')"
         if self.maps:
-            spring = f"model.with_series_springs(rx.SeriesSpring('{self.maps[0]}'))"
-            return f"Add a spring in series with a damper, in Python: {spring}, then rx.refine", ()
-        return "", ()
+            return words, (), f"rx.SeriesSpring('{self.maps[0]}'), and rx.refine"
+        return "", (), ""
 
     def _uneven(self) -> Iterator[Finding]:
         errors = self.windows
@@ -534,8 +426,6 @@ class EquationResidual(NamedTuple):
         windows = self.windows
         return {
             "relative_rms": float(self.error.relative_rms),
-            "correlation_time_s": self.autocorrelation.correlation_time,
-            "integrated_autocorrelation_s": self.autocorrelation.integrated,
             "band_hz": self.spectrum.band,
             "peak": self.peak,
             "windows": None
@@ -545,17 +435,8 @@ class EquationResidual(NamedTuple):
                 "mean_square_ratio": windows.ratio,
                 "target_mean_square_ratio": windows.target_ratio,
                 "p_value": None if np.isnan(windows.p_value) else windows.p_value,
-                "correlation": windows.correlation,
-                "mean_length_over_record": windows.window_share,
             },
         }
-
-
-LAGS = 50
-"""Samples of the longest lag, where no windows say how long."""
-MOST_LAGS = 400
-LARGEST_LAG_SHARE = 10
-"""The longest lag is at most this part of the records."""
 
 
 class ResidualTests(Drawn, eqx.Module):
@@ -593,9 +474,6 @@ def residual_tests(
 ) -> ResidualTests:
     """Test what an identified model leaves unexplained (not under jit).
 
-    The autocorrelation is looked at up to the longest window or else 50 samples, no more than 400
-    and a tenth of the records.
-
     **Arguments:**
 
     - `estimate`: of these records or of others; or parameter name to value.
@@ -614,10 +492,6 @@ def residual_tests(
         windows = estimate.criterion.windows
     if errors is None:
         errors = errors_over_records(model, recordings, values)
-    samples = sum(record.sample_count for record in recordings)
-    step = float(recordings[0].time_step)
-    wanted = LAGS if windows is None else round(float(windows.beta) / step)
-    lags = max(min(wanted, MOST_LAGS, samples // LARGEST_LAG_SHARE), 1)
     names = told_apart([of_equation[0].name for of_equation in errors])
     first = recordings[0]
     reads = [e.signals_read(first, of[0].span) for e, of in zip(model.equations, errors)]
@@ -627,7 +501,7 @@ def residual_tests(
     earlier = set[str]()
     found, parts = [], zip(names, errors, model.equations, reads, strict=True)
     for name, of_equation, equation, read in parts:
-        error = joined(of_equation, lags)
+        error = joined(of_equation)
         spectrum = error_spectrum(error)
         peak, own = spectrum.peak(), {*equation.parameters} - earlier
         earlier |= own
@@ -638,7 +512,6 @@ def residual_tests(
         residual = EquationResidual(
             name,
             error,
-            autocorrelation(error.series, lags, float(error.time_step)),
             spectrum,
             peak,
             None if windows is None else window_errors(of_equation, windows),

@@ -34,7 +34,6 @@ from riecjax.summaries.normal_equations import (
 from riecjax.summaries.summarise import ready, summed, task
 from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.covariances import block_influence
-from riecjax.validation.residuals import LEVEL
 
 if TYPE_CHECKING:
     from riecjax.estimation.estimate import Estimate
@@ -49,6 +48,8 @@ if TYPE_CHECKING:
 # share cancels. So a drift is seen that is much smaller than either standard error. Of all pairs of
 # lengths the most significant is tested, at the level over the number of pairs (Bonferroni).
 
+LEVEL = 0.05
+"""Probability by chance below which a drift is told."""
 SMALLEST_DRIFT = 0.005
 """Share of a parameter below which a drift does not matter."""
 STEADY = 0.01

@@ -29,7 +29,6 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.leaves import finite, told
 from riecjax.records.record import Record, deviation
 from riecjax.refinement.output_error import OutputResiduals, noise_levels
-from riecjax.validation.residuals import autocorrelation
 
 LAGS = 20
 LEVEL = 0.01
@@ -152,9 +151,13 @@ def ljung_box(series: Float[np.ndarray, " n"]) -> float:
     count = np.count_nonzero(present)
     if count < FEWEST_RESIDUALS or not np.ptp(series[present]) > 0:
         return float("nan")
-    correlations = autocorrelation(series, LAGS, 1.0).values[1:]
-    pairs = np.array([np.sum(present[k:] & present[:-k]) for k in range(1, LAGS + 1)])
-    return float((count + 2) / count * np.sum(pairs * correlations**2))
+    centred = np.where(present, series - np.mean(series[present]), 0.0)
+    apart = range(1, LAGS + 1)
+    pairs = np.array([np.sum(present[k:] & present[:-k]) for k in apart])
+    products = np.array([np.sum(centred[k:] * centred[:-k]) for k in apart])
+    # Of lags at which there are no pairs the products are zero.
+    squares = products**2 / np.maximum(pairs, 1) / (np.sum(centred**2) / count) ** 2
+    return float((count + 2) / count * np.sum(squares))
 
 
 def innovations(
