@@ -83,6 +83,11 @@ def judged(case: Case) -> list[Judged] | None:
         return None
     while assessment.before is not None:
         assessment = assessment.before
+    return judged_values(case, assessment, advised)
+
+
+def judged_values(case: Case, assessment: rx.Assessment, advised: rx.Assessment) -> list[Judged]:
+    """Verdicts on a case's parameters, and what is found once it is `advised`."""
     found, after = [], case.truth
     if advised.model.modes:
         after = {**case.truth, **case.beside_mode}
