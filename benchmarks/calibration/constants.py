@@ -146,12 +146,13 @@ def told(before: list[list[Judged] | None], after: list[list[Judged] | None]) ->
         for a, b in zip(one, other, strict=True)
     ]
     figures_of = [figures([pair[place] for pair in pairs]) for place in (0, 1)]
-    kinds = dict.fromkeys(a.kind for a, _ in pairs)
-    lost = {
-        kind: share([a for a, _ in pairs if a.kind == kind and a.level == "good"], HOLDS)
-        - share([b for _, b in pairs if b.kind == kind and b.level == "good"], HOLDS)
-        for kind in kinds
-    }
+    kinds = dict.fromkeys(before.kind for before, _ in pairs)
+    lost = {"": 0.0}
+    for kind in kinds:
+        some = list(zip(*(pair for pair in pairs if pair[0].kind == kind), strict=True))
+        held = [share([one for one in of if one.level == "good"], HOLDS) for of in some]
+        # Of none that are good nothing is lost.
+        lost[kind] = held[0] - held[1] if all(one == one for one in held) else 0.0
     return {
         "answers lost or won": sum((a is None) != (b is None) for a, b in zip(before, after)),
         "levels that change": sum(a.level != b.level for a, b in pairs),
