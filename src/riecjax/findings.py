@@ -40,7 +40,8 @@ class FindingClass(NamedTuple):
     - `rules_out`: the parameters that it names are not to be used, whatever their doubt;
       `symptom`: what makes it so is another cause, if one is known.
     - `widens`: scatter of the parameters that it names is no chance; `short`: the record is short.
-    - `assumed`: nothing recorded shows it, and nothing rules it out.
+    - `assumed`: nothing recorded shows it, and nothing rules it out; `refutes`: the recordings
+      contradict a value, which is not good then, how small its doubt may be.
     - `undo`: its remedy takes the fault off a record, to say how far parameters move; `holds`: the
       signal holds its value for a while, and `feigned`: what such a signal seems to have as well.
     - `disorder`: sensors of one motion do not go together, so that no term is to be looked for.
@@ -57,6 +58,7 @@ class FindingClass(NamedTuple):
     widens: bool = False
     short: bool = False
     assumed: bool = False
+    refutes: bool = False
     undo: bool = False
     holds: bool = False
     feigned: bool = False
@@ -187,7 +189,10 @@ CODES: dict[str, FindingClass] = {
     "lost_rows": _sensors("{signals} part by a jump", disorder=True, feigned=True),
     "two_clocks": _sensors("{signals} run by two clocks", disorder=True),
     "silent_input": _sensors("{signals} says nothing"),
-    "late_signal": _sensors("{signals} is late", undo=True, feigned=True, disorder=True),
+    "reversed_input": _sensors("{signals} has the opposite sign"),
+    "late_signal": _sensors(
+        "{signals} and the rest are not in time", undo=True, feigned=True, disorder=True
+    ),
     "low_passed": _sensors("{one_of} is filtered", undo=True, feigned=True, disorder=True),
     "wrong_gain": _sensors("{signals} do not fit each other in size", undo=True, feigned=True),
     "drifting_signal": _sensors("{one_of} drifts", undo=True),
@@ -212,10 +217,13 @@ CODES: dict[str, FindingClass] = {
     "nothing_cut": _sensors("a cut removes nothing"),
     "file_changed": _sensors("a file is not the one that was read before"),
     "rows_left_out": _sensors("windows that touch a missing sample are left out"),
-    "stages_disagree": _model("later equations refute what earlier ones found", disorder=True),
+    "stages_disagree": _model(
+        "later equations refute what earlier ones found", disorder=True, refutes=True
+    ),
     "missing_term": _model("the model lacks a term"),
     "unmodelled_mode": _model("the model leaves out a mode"),
     "unexplained": _model("the model leaves more than noise"),
+    "not_weighed": _model("the model leaves more than noise", assumed=True),
     "large_residual": _model("the model leaves more than half of the signal"),
     "hysteresis": _model("what the model leaves depends on the way that the motion came"),
     "window_sensitive": _model("estimates drift with window length"),

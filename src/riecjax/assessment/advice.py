@@ -23,6 +23,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.model import Model
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.stages import stages_over_records
 from riecjax.findings import Finding, Step, joined
 from riecjax.folds import Folds
 from riecjax.leaves import size_of
@@ -30,7 +31,6 @@ from riecjax.records.preparation.steps import undone
 from riecjax.records.recording import Recording
 from riecjax.settings.answers import Assess
 from riecjax.settings.files import Elements, Prepare, Read
-from riecjax.summaries.normal_equations import sum_of_equations
 
 if TYPE_CHECKING:
     from riecjax.settings.option import Option
@@ -64,19 +64,21 @@ class Asked(NamedTuple):
             }
 
         model = self.model.with_elements(Elements(**of(Elements)))
-        recordings = self.recordings
+        recordings, fitted = self.recordings, of(Assess)
         if of(Read) or of(Prepare):
             pairs = [(option, text) for option, texts in said.items() for text in texts]
-            recordings = [
-                replace(
+
+            def prepared(one: Recording) -> Recording:
+                return replace(
                     one,
                     record=undone(one.record, pairs),
                     findings=tuple(f for f in one.findings if f.about.kind != "sensors"),
                     kinematics=(),
                 )
-                for one in recordings
-            ]
-        fitted = of(Assess)
+
+            recordings = [*map(prepared, recordings)]
+            further: Any = self.settings.validate_on
+            fitted["validate_on"] = [*map(prepared, further)]
         given = self.settings.criterion
         changes = {"alpha", "beta", "test_function"} & fitted.keys()
         if changes or (model.has_hidden and not self.model.has_hidden):
@@ -96,8 +98,9 @@ def left_out(estimate: Estimate) -> float:
     if estimate.summary is None:
         return np.inf
     total, known = 0.0, dict(estimate.known)
-    for stage, equations in zip(estimate.stages, estimate.summary.equations()):
-        blocks = sum_of_equations(equations).fix(known).flattened()
+    stages, _ = stages_over_records(estimate.summary.equations(), estimate.table)
+    for stage, equations in zip(estimate.stages, stages):
+        blocks = equations.fix(known).flattened()
         folds = Folds.of(blocks.moments, blocks.clean, blocks.count, blocks.parameters)
         names = [name for name in stage.parameters if name in folds.parameters]
         total += float(folds.left(names).motion.sum()) / size_of(folds.energy)
@@ -121,8 +124,10 @@ def helps(before: Evidence, after: Evidence) -> bool:
     laws = [each.estimate.criterion.describe() for each in (before, after)]
     if laws[0] == laws[1] and left_out(after.estimate) > left_out(before.estimate):
         return False
-    sizes = [np.log(min(of[name].share, 1.0)) for of in (was, now) for name in sorted(common)]
-    return sum(sizes[len(common) :]) < sum(sizes[: len(common)])
+    # What sits on a bound has no interval.
+    told = [name for name in common if was[name].share > 0 and now[name].share > 0]
+    sizes = [[np.log(min(of[name].share, 1.0)) for name in told] for of in (was, now)]
+    return sum(sizes[1]) < sum(sizes[0])
 
 
 def _spoils(was: Doubt, now: Doubt) -> bool:

@@ -139,6 +139,8 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
     simulated raises nothing: it is a finding.
     """
     model = as_model(model)
+    validate_on: Any = settings.validate_on
+    settings = replace(settings, validate_on=ready(model, validate_on) if validate_on else ())
     asked = Asked(model, ready(model, recordings, settings.noise), settings)
     assessment, steps, before = _assessed(asked), [], None
     for number in range(settings.follow + 1):
@@ -177,10 +179,10 @@ def _assessed(asked: Asked) -> Assessment:
     if settings.hold_out is not None:
         parts = [each.split(settings.hold_out) for each in fitted]
         fitted, held = [part[0] for part in parts], [part[1] for part in parts]
-    validate_on: Any = settings.validate_on
     makers = settings.tests or ()
     require("tests", makers, (tuple, list), "tests=[make], a list of functions that make one each")
-    further = concerning(ready(model, validate_on)) if validate_on else []
+    validate_on: Any = settings.validate_on
+    further = concerning(validate_on)
     records = [each.record for each in fitted]
     # What is refused without arithmetic is refused before a sample is read.
     table = plan_parameters(model, len(fitted), settings.known, settings.per_record)

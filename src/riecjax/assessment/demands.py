@@ -9,7 +9,7 @@ from riecjax.doubts.check import Check
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding
+from riecjax.findings import FINEST, Finding, in_percent, joined
 from riecjax.records.record import Record
 from riecjax.records.signal import noise_level
 from riecjax.validation.equation_errors import EquationError
@@ -42,9 +42,12 @@ def causes_found(
     from riecjax.doubts.sampled_inputs import between_samples
 
     silent = [*silent_inputs(model.equations, records, errors, estimate.criterion.windows)]
+    silent = silent or [*reversed_inputs(model.equations, estimate)]
     weighed = can_be_weighed(model, records, estimate)
-    if silent or not weighed:
+    if silent:
         return silent, weighed
+    if not weighed:
+        return [*not_weighed(estimate)], weighed
     assumed = between_samples(model, records, estimate)
     if any(
         (finding.about.disorder or finding.about.holds or finding.about.undo)
@@ -54,6 +57,22 @@ def causes_found(
         return assumed, weighed
     causes = demanded(model, records, estimate, lacked)
     return [*assumed, *(finding_of(cause, model, records) for cause in causes)], weighed
+
+
+def not_weighed(estimate: Estimate) -> Iterator[Finding]:
+    """`not_weighed` of equations that leave more than noise where no cause of that can be told: it
+    is taken to move what they find by as large a share as it has of the target."""
+    for name, fit in estimate.equations.items():
+        left = float(fit.model_rms)
+        if left > FINEST and fit.parameters:
+            yield Finding(
+                "not_weighed",
+                f"{name}: the model leaves {in_percent(left)} of the target beyond noise. What "
+                f"that is cannot be told of so few blocks of time, of hidden elements, or of "
+                f"parameters of each recording.",
+                parameters=fit.parameters,
+                doubt=min(left, 1.0),
+            )
 
 
 NOISE_ALONE = 0.8
@@ -103,6 +122,28 @@ def silent_inputs(
                 equation.parameters,
                 doubt=1.0,
                 step=f"Check the sensor of {name}, its cable and its column",
+            )
+
+
+def reversed_inputs(equations: Sequence[Equation], estimate: Estimate) -> Iterator[Finding]:
+    """`reversed_input` of equations in which all masses and dampers are surely below zero."""
+    _, high = estimate.intervals()
+    below = dict(zip(estimate.parameters, np.asarray(high < 0).tolist()))
+    for equation in equations:
+        names = [name for name in equation.parameters if name in below]
+        signed = [name for name in names if estimate.table[name].sign]
+        if (name := _only_input(equation)) and signed and all(below[one] for one in signed):
+            yield Finding(
+                "reversed_input",
+                f"{equation.name}: {joined(signed)} come out below zero, as where {name} points "
+                f"the other way: then all parameters have the opposite sign. Turn it (on the "
+                f"command line: --scale {name}=-1), or check the direction of the motion.",
+                (name,),
+                tuple(names),
+                # From one sign to the other.
+                doubt=2.0,
+                remedy=("--scale", f"{name}=-1"),
+                step=f"Turn the sign of {name}",
             )
 
 

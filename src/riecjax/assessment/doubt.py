@@ -136,8 +136,9 @@ class Doubt(NamedTuple):
     """How far the `value` of one parameter may be off, in its unit.
 
     **Fields:** `low`, `high`: reach below and above the value by scatter; `wrong`, by what may be
-    wrong, of the `finding` that says most of it, `None` where nothing is; `finest`, what is never
-    claimed.
+    wrong, of the `finding` that says most of it, `None` where nothing is, and the one to be
+    `named`, which knows what to do about at least half as much; `finest`, what is never claimed;
+    whether the recordings contradict it, `refuted`.
     """
 
     value: float
@@ -146,6 +147,8 @@ class Doubt(NamedTuple):
     wrong: float = 0.0
     finding: Finding | None = None
     finest: float = 0.0
+    named: Finding | None = None
+    refuted: bool = False
 
     @property
     def scatter(self) -> float:
@@ -170,7 +173,7 @@ class Doubt(NamedTuple):
     @property
     def is_good(self) -> bool:
         """Whether it leaves the value good."""
-        return self.share <= TRUSTED
+        return self.share <= TRUSTED and not self.refuted
 
     @property
     def is_wrong(self) -> bool:
@@ -207,6 +210,11 @@ def doubts(evidence: Evidence) -> dict[str, Doubt]:
         told = max(
             stated[name].get(worst, ()), key=lambda f: f.doubts.get(name, f.doubt), default=None
         )
+        # Not a symptom, but what it is of.
+        near = (
+            f for code in shares if shares[code] > shares[worst] / 2 for f in stated[name][code]
+        )
+        named = max(near, key=lambda f: (bool(f.remedy), f is told), default=None)
         found[name] = Doubt(
             value=value,
             low=float(low),
@@ -214,6 +222,8 @@ def doubts(evidence: Evidence) -> dict[str, Doubt]:
             wrong=shares.get(worst, 0.0) * abs(value),
             finding=told,
             finest=FINEST * abs(value),
+            named=named,
+            refuted=any(f.about.refutes for some in stated[name].values() for f in some),
         )
     return found
 

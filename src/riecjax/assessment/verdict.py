@@ -143,8 +143,12 @@ def _judged(name: str, doubt: Doubt, grouped: Sequence[Cause], widened: str) -> 
     """
     about = [f for c in grouped for f in c.findings if name in (f.parameters or (name,))]
     known = widened
-    if doubt.finding is not None and doubt.wrong > doubt.scatter:
-        known = doubt.finding.about.said(doubt.finding.signals, doubt.finding.parameters)
+    named = doubt.named
+    # What is demanded and can be put right makes scatter as well.
+    if named is not None and (
+        doubt.wrong > doubt.scatter or (named.remedy and not named.about.assumed)
+    ):
+        known = named.about.said(named.signals, named.parameters)
     for finding in (finding for finding in about if finding.about.rules_out):
         phrase = finding.about.said(finding.signals, finding.parameters)
         return "do not use", (finding.about.symptom and known) or phrase

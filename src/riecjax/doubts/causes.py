@@ -186,10 +186,11 @@ class Causes:
         best = min(pairs, key=self.left, default=[])
         return self._pruned(best) if best and self.is_little(self.left(best)) else []
 
-    def admitted(self) -> list[Doubt]:
-        """Doubts that are let in one after the other, each the one with which least is left of
-        blocks that it was not fitted to, as long as it is no chance and less is left with it."""
-        chosen: list[Doubt] = []
+    def admitted(self, beside: Sequence[Doubt] = ()) -> list[Doubt]:
+        """Doubts that are let in beside some one after the other, each the one with which least is
+        left of blocks that it was not fitted to, as long as it is no chance and less is left with
+        it; those that they are beside come first."""
+        chosen = [*beside]
         while self.folds.number >= FEWEST and len(chosen) < MOST:
             others = [
                 doubt

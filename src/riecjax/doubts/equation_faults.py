@@ -67,7 +67,8 @@ class Cause(NamedTuple):
 
     **Fields:** `doubt`; its `size` in the unit of its column; rms that is left beyond noise with
     it, `left`, and without, `before`, as shares of the target's; `moved`, shares by which
-    parameters change with it; what is found once it is `undone`;
+    parameters change with it or with what explains as much, and `own` with it alone; what is found
+    once it is `undone`;
     `offset` of what drifts at the record's middle; `instead`, other doubts that explain nearly as
     much, of which some are the `same` column, and `certain`, whether all others leave clearly more;
     whether it `is_part` of what is amiss, which is to be undone before the rest is found;
@@ -87,6 +88,7 @@ class Cause(NamedTuple):
     instead: tuple[Doubt, ...] = ()
     same: tuple[Doubt, ...] = ()
     admitted: tuple[Doubt, ...] = ()
+    own: Mapping[str, float] = {}
 
 
 @dataclass(eq=False)
@@ -169,7 +171,10 @@ class Weighing:
         if not chosen and self.is_exact:
             return self._part_of(known)
         if chosen or self.is_exact:
-            return [self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen]
+            causes_found = [self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen]
+            # A column tells of what is undone to first order alone: what it leaves is no doubt's.
+            beyond = None if self.is_exact or known.keys() & {*chosen} else self._part(None, chosen)
+            return causes_found if beyond is None else [*causes_found, beyond]
         rough = self._hysteresis() if is_notable else None
         mode = self._mode() if is_notable and rough is None else None
         if mode is not None and self._rings(mode):
@@ -178,17 +183,18 @@ class Weighing:
         best = min(delays, key=lambda delay: causes.left([delay]), default=None)
         if rough and best and causes.rms(causes.left([best])) < rough.left:
             rough = self._cause(best, [best], known[best])
-        return [each for each in (rough or self._unexplained(mode),) if each is not None]
+        return [each for each in (rough or self._part(mode),) if each is not None]
 
-    def _unexplained(self, mode: Cause | None) -> Cause | None:
-        """Doubts that explain a part of what is left, let in one after the other, with the farthest
-        that any of them, or a mode, moves each parameter."""
-        rough, chosen = self.rough, self.rough.admitted()
-        some = (rough.names(chosen[:count]) for count in range(len(chosen) + 1))
+    def _part(self, mode: Cause | None, beside: Sequence[Doubt] = ()) -> Cause | None:
+        """Doubts that explain a part of what is left beside some, let in one after the other, with
+        the farthest that any of them, or a mode, moves each parameter."""
+        rough, every = self.rough, self.rough.admitted(beside)
+        chosen = every[len(beside) :]
+        some = (rough.names(every[:count]) for count in range(len(beside), len(every) + 1))
         fits = [rough.folds.values(names) for names in some]
         moves = [self._moved(fit, fits[0]) for fit in fits[1:]]
         moved = _farthest([*moves, *([] if mode is None else [mode.moved])])
-        before, left = (rough.rms(rough.left(some)) for some in ([], chosen))
+        before, left = (rough.rms(rough.left(some)) for some in (beside, every))
         if chosen and (mode is None or left < mode.left):
             size = fits[-1][chosen[0].name]
             return Cause(chosen[0], size, before, left, moved, admitted=tuple(chosen))
@@ -262,18 +268,19 @@ class Weighing:
         before = folds.values(without)
         others = [folds.values(causes.names([*beside, other])) for other in instead]
         values = [after if undone is None else undone.values, *others]
-        moved = _farthest([self._moved(each, before) for each in values])
+        moves = [self._moved(each, before) for each in values]
         return Cause(
             doubt,
             after[doubt.name] if undone is None else undone.size,
             causes.rms(causes.left(beside)),
             causes.rms(causes.left(chosen)),
-            moved,
+            _farthest(moves),
             undone,
             offset=after[zeros[0].name] if zeros else 0.0,
             certain=causes.is_certain(chosen, doubt, instead),
             same=tuple(causes.same_as(doubt, [one for one in causes.every if one in instead])),
             instead=tuple(instead),
+            own=moves[0],
         )
 
     def _followed(self, doubt: Doubt, steady: Settled | None, large: bool) -> Settled | None:
@@ -325,7 +332,7 @@ class Weighing:
             folds = folds_of(asked, self.records, [doubt])
             names = [name for name in folds.parameters if name != doubt.name]
             moved = self._moved(folds.values(folds.parameters), folds.values(names)) | moved
-        return cause._replace(moved=moved)
+        return cause._replace(moved=moved, own=moved)
 
     def _rings(self, mode: Cause) -> bool:
         """Whether a mode explains what is left roughly."""
@@ -437,8 +444,8 @@ def finding_of(
         said = _of_delay(names, cause.undone, against.says)
     else:
         said = _of_size(cause, model, records[0], against.says)
-    most = max(cause.moved, key=lambda name: abs(cause.moved[name]), default="")
-    moves = f", and {most} changes by {in_percent(cause.moved[most], '+.2g')}" if most else ""
+    most = max(cause.own, key=lambda name: abs(cause.own[name]), default="")
+    moves = f", and {most} changes by {in_percent(cause.own[most], '+.2g')}" if most else ""
     way = "taken off" if cause.doubt.signals else "let in"
     message = (
         f"{said.what}. With that {way}, {against.leaves} {in_percent(cause.left)} of {against.of} "

@@ -302,7 +302,7 @@ def _told(cause: Cause, relation: Relation, weighing: Weighing) -> Finding:
     (name,) = cause.doubt.signals
     says = relation.words(name)[0 if name == relation.signal else 1]
     against = Equated(f"{says} says", "the signals differ by", "the motion", "velocity_offset")
-    cause = cause._replace(moved={})
+    cause = cause._replace(moved={}, own={})
     finding = finding_of(cause, weighing.asked.model, weighing.records, against)
     is_late = cause.undone is not None and cause.undone.course is None
     others = () if is_late else [n for n in relation.names if n != name]

@@ -36,11 +36,9 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import constant
 from riecjax.equations.model import Model
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.findings import Finding, in_percent
-from riecjax.leaves import TINY
 from riecjax.linear_algebra import unit_diagonal
 from riecjax.summaries.normal_equations import EquationSums
 from riecjax.summaries.summary import Summary
@@ -56,10 +54,6 @@ DISAGREEING = 2.0
 """Times what motion alone leaves of b', or noise, rms, past which the means disagree with it."""
 SLIGHT = 0.01
 """Share of b', rms, that the means may cost in any case: they move k by about as much."""
-LEAST = 0.1
-"""The same from which a wrong zero is told where the target varies."""
-MOST_MOVED = 1e3
-"""Share by which a value may be said to move at most."""
 ROUNDING = 8.0
 """Times the root of eps: share of a column, of moments, that may be rounding."""
 SUMMED = 1e-6
@@ -72,12 +66,11 @@ Products = Float[np.ndarray, "columns columns"]
 # Values too large to be squared are for the fit to refuse.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def target_findings(model: Model, table: ParameterTable, summary: Summary) -> list[Finding]:
-    """Equations whose target is zero, or constant and reproduced by one term; then those that
-    motion explains, and a fit with the means does not (not under jit).
+    """Equations whose target is zero, or constant and reproduced by one term (not under jit).
 
     **Arguments:** `summary`, with a constant beside all equations.
     """
-    constants, zeros = [], []
+    constants = []
     for stage, (_, unknown), *recordings in zip(
         model.stages, table.stages, *(recording.stages for recording in summary.recordings)
     ):
@@ -91,39 +84,7 @@ def target_findings(model: Model, table: ParameterTable, summary: Summary) -> li
             if message := _fitted_by_zero(one, others) or _fitted_by_one(one, elsewhere):
                 message = f"{one.equation.name}: {message}"
                 constants.append(Finding("constant_target", message, parameters=tuple(one.columns)))
-            zeros += _wrong_zero(one, table)
-    return [*constants, *zeros]
-
-
-def _wrong_zero(seen: "_Averaged", table: ParameterTable) -> list[Finding]:
-    """That the means disagree with the motion, of which deviations from the mean know nothing;
-    empty if they do not, and of what an earlier stage finds."""
-    names, known = {*table.everywhere(seen.equation.parameters)}, {*seen.names, *table.known}
-    has_zero = any(term.of is constant for term in seen.equation.terms)
-    moves = seen.share(TARGET) > seen.rounding
-    if not (names <= known and seen.columns and moves) or has_zero:
-        return []
-    left = seen.left_by_motion()
-    if not (fitted := seen.left_by_means(left)) > LEAST:
-        return []
-    inputs = seen.inputs
-    remedy = ("--unknown-offset", inputs[0]) if len(inputs) == 1 else ()
-    # How far each coefficient is from that of motion alone, as a share of it in the fit.
-    whole, alone = _fit(seen.products), _fit(seen.moving)
-    shares = np.minimum(np.abs(alone - whole) / np.maximum(np.abs(whole), TINY), MOST_MOVED)
-    moved = dict(zip(seen.columns, shares.tolist()))
-    most = max(moved, key=lambda name: moved[name])
-    message = (
-        f"{seen.equation.name}: the constant parts of the signals disagree with their motion, "
-        f"as with a wrong zero of a sensor: together they leave {in_percent(fitted)} of how "
-        f"the target varies, motion alone {in_percent(left)}. It moves {most} by "
-        f"{in_percent(moved[most])} of its value. Estimate the zero as a constant"
-        + (f" (on the command line: {' '.join(remedy)})" if remedy else "")
-        + ": rx.Term('offset', rx.constant); or remove the signals' offsets."
-    )
-    step = "Estimate the zero of a sensor, as a constant force"
-    parameters = tuple(seen.columns)
-    return [Finding("wrong_zero", message, tuple(inputs), parameters, 0.0, moved, remedy, step)]
+    return constants
 
 
 def _fitted_by_zero(seen: "_Averaged", others: list["_Averaged"]) -> str:

@@ -310,6 +310,8 @@ def _load(path: Path) -> ModuleType:
     assert spec is not None, "its name ends in .py"
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    # A file that loads another of the same name, as discover writes one, has it within its own.
+    around = {name: other for name, other in sys.modules.items() if name == spec.name}
     sys.modules[spec.name] = module
     try:
         with users_code(path), _neighbours(path):
@@ -317,6 +319,7 @@ def _load(path: Path) -> ModuleType:
     finally:
         # Another process cannot import it: to that its functions and classes go as they are.
         del sys.modules[spec.name]
+        sys.modules |= around
     _loaded.append(module)
     return module
 

@@ -163,15 +163,8 @@ def errors_over_records(
 
     A parameter that is estimated per record, such as `offset[2]`, takes that record's value.
 
-    **Raises:** as [`equation_error`][], and `DataError` for records of unequal time steps.
+    **Raises:** as [`equation_error`][].
     """
-    steps = [float(record.time_step) for record in records]
-    if not np.allclose(steps, steps[0], rtol=1e-6):
-        listed = ", ".join(f"{step:.4g}" for step in dict.fromkeys(steps))
-        raise DataError(
-            f"residuals over several records need one time step; there are {listed} s. Bring the "
-            f"records to one rate first (riecjax.resample)."
-        )
     model = as_model(model)
     records = [with_memories(record, model.memories) for record in records]
     parts = []

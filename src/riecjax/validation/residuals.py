@@ -24,6 +24,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import accelerated, force_elements
 from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model, as_model, told_apart
+from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, in_percent
 from riecjax.records.record import Records, as_records
@@ -403,7 +404,8 @@ class EquationResidual(NamedTuple):
             options = ("--add-spring", self.dampers[0])
             return words, options, f"rx.SeriesSpring('{self.dampers[0]}')"
         if self.maps:
-            return words, (), f"rx.SeriesSpring('{self.maps[0]}'), and rx.refine"
+            spring = f"rx.SeriesSpring('{self.maps[0]}')"
+            return words, (), f"model.with_series_springs({spring}), then rx.refine"
         return "", (), ""
 
     def _uneven(self) -> Iterator[Finding]:
@@ -487,6 +489,13 @@ def residual_tests(
     """
     model = as_model(model)
     recordings = [with_memories(record, model.memories) for record in as_records(records)]
+    steps = [float(record.time_step) for record in recordings]
+    if not np.allclose(steps, steps[0], rtol=1e-6):
+        listed = ", ".join(f"{step:.4g}" for step in dict.fromkeys(steps))
+        raise DataError(
+            f"residuals over several records need one time step; there are {listed} s. Bring the "
+            f"records to one rate first (riecjax.resample)."
+        )
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
     if windows is None and isinstance(estimate, Estimate) and estimate.criterion is not None:
         windows = estimate.criterion.windows

@@ -71,7 +71,8 @@ def residuals_tested(
     from riecjax.validation.equation_errors import errors_over_records
     from riecjax.validation.residuals import residual_tests
 
-    # A fit is not lost because what it leaves cannot be tested.
+    # A fit is not lost because what it leaves cannot be tested, nor are its causes.
+    faults: list[Finding] = []
     try:
         errors = errors_over_records(model, records, estimate.values)
         faults, weighed = faults_of(model, records, errors, by_windows)
@@ -79,7 +80,7 @@ def residuals_tested(
             model, records, estimate, errors=errors, faults=faults, weighed=weighed
         )
     except RiecjaxError as error:
-        return Tested([], [Finding("residuals_not_tested", str(error))])
+        return Tested([], [*faults, Finding("residuals_not_tested", str(error))])
     return Tested([test], [])
 
 

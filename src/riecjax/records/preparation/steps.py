@@ -108,13 +108,16 @@ def prepare(
 
 
 def undone(record: Record, remedies: Iterable[tuple[str, ...]]) -> Record:
-    """A record as these options of the command line make it, names and what each takes in turn."""
-    said: dict[str, dict[str, None]] = {}
+    """A record as these options of the command line make it, names and what each takes in turn;
+    the first of several that an option takes for one signal."""
+    said: dict[str, dict[str, str]] = {}
     for option, text in (pair for remedy in remedies for pair in zip(remedy[::2], remedy[1::2])):
-        said.setdefault(option, {})[text] = None
+        said.setdefault(option, {}).setdefault(text.partition("=")[0], text)
     options = {**Read.options(), **Prepare.options()}.items()
     given = {
-        name: option.parsed(*said[option.flag]) for name, option in options if option.flag in said
+        name: option.parsed(*said[option.flag].values())
+        for name, option in options
+        if option.flag in said
     }
     factors = dict[str, float](given.pop("scale", {}))
     for name, unit in given.pop("units", {}).items():
