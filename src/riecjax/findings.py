@@ -107,9 +107,9 @@ class Finding(NamedTuple):
         return codes.index(self.code) if self.code in CODES else len(codes)
 
 
-FINEST = 1e-3
-"""Share of a value below which nothing is claimed: no criterion integrates samples, and no sensor
-is calibrated, better."""
+FINEST = 2.5e-3
+"""Share of a value below which nothing is claimed: no sensor is calibrated better, and derivatives
+that were formed of samples move values by up to as much."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import FINEST, Finding, in_percent, joined
+from riecjax.leaves import size_of
 from riecjax.records.record import Record
 from riecjax.records.signal import noise_level
 from riecjax.validation.equation_errors import EquationError
@@ -17,6 +18,10 @@ from riecjax.validation.residuals import window_errors
 
 SPOILT = 0.1
 """Share of a value that a sensor's fault moves it by, from which no equation is asked for more."""
+
+
+ENOUGH = 12
+"""Blocks of time from which nothing that is demanded tells that nothing is."""
 
 
 def causes_found(
@@ -56,23 +61,34 @@ def causes_found(
     ):
         return assumed, weighed
     causes = demanded(model, records, estimate, lacked)
+    if not causes and int(estimate.block_count) < ENOUGH:
+        assumed += not_weighed(estimate)
     return [*assumed, *(finding_of(cause, model, records) for cause in causes)], weighed
 
 
 def not_weighed(estimate: Estimate) -> Iterator[Finding]:
-    """`not_weighed` of equations that leave more than noise where no cause of that can be told: it
-    is taken to move what they find by as large a share as it has of the target."""
-    for name, fit in estimate.equations.items():
-        left = float(fit.model_rms)
-        if left > FINEST and fit.parameters:
-            yield Finding(
-                "not_weighed",
-                f"{name}: the model leaves {in_percent(left)} of the target beyond noise. What "
-                f"that is cannot be told of so few blocks of time, of hidden elements, or of "
-                f"parameters of each recording.",
-                parameters=fit.parameters,
-                doubt=min(left, 1.0),
-            )
+    """`not_weighed` of equations that leave more than noise where no cause of that can be told.
+
+    What is left is taken to have moved each parameter by as much of it as it is of the term: all
+    of what is left may have been of the term's own shape.
+    """
+    for stage in estimate.stages:
+        sizes = dict(zip(stage.parameters, np.asarray(stage.relative_size, float)))
+        for fit in stage.equations:
+            left = float(fit.model_rms)
+            doubts = {
+                name: min(left / size_of(sizes[name] * float(estimate[name])), 1.0)
+                for name in fit.parameters
+            }
+            if left > FINEST and doubts:
+                yield Finding(
+                    "not_weighed",
+                    f"the model leaves {in_percent(left)} of what it was to explain beyond noise. "
+                    f"What that is cannot be told of so few blocks of time, of hidden elements, or "
+                    f"of parameters of each recording.",
+                    parameters=fit.parameters,
+                    doubts=doubts,
+                )
 
 
 NOISE_ALONE = 0.8

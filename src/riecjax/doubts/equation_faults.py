@@ -37,6 +37,7 @@ from riecjax.doubts.delays import (
 )
 from riecjax.doubts.modes import best_mode, elsewhere
 from riecjax.equations import expressions
+from riecjax.equations.expressions import constant
 from riecjax.equations.model import Model, as_model
 from riecjax.equations.motions import per
 from riecjax.estimation.estimate import Estimate
@@ -575,7 +576,11 @@ def _of_zero(cause: Cause, model: Model, record: Record, says: str) -> _Said:
         amount = f"{size:.3g} {record.signal(zeros[0]).unit}".rstrip()
         what = f"{zeros[0]} reads {amount} more than {says}"
     known = [t for e in model.equations for t in e.terms if t.signal and not t.parameters]
-    inputs = [str(t.signal) for t in known if not t.derivative and t.signal in zeros]
+    inputs = [
+        str(t.signal)
+        for t in known
+        if not t.derivative and (t.signal in zeros or doubt.term is not None)
+    ]
     if inputs:
         remedy = ("--unknown-offset", inputs[0])
         then = f"Estimate it (on the command line: {shlex.join(remedy)}; "
@@ -583,7 +588,7 @@ def _of_zero(cause: Cause, model: Model, record: Record, says: str) -> _Said:
         step = f"Estimate the zero of the sensor of {inputs[0]}, or a constant force"
     else:
         remedy = option_for("--zero", doubt.signals[:1], f"{size:.6g}")
-        then = step = f"Take the offset off {zeros[0]}"
+        then = step = f"Take the offset off {zeros[0]}" if zeros else "Add a constant force"
         then += f" (on the command line: {shlex.join(remedy)})" if remedy else ""
     return _Said("wrong_zero", what, f"{then}.", remedy, step)
 
@@ -618,7 +623,8 @@ def _of_state(doubt: Doubt, record: Record) -> _Said:
 def _of_size(cause: Cause, model: Model, record: Record, says: str) -> _Said:
     """A zero, a gain, a drift, or a term that the model lacks."""
     doubt, size = cause.doubt, cause.size
-    if any(one.kind == "zero" for one in (doubt, *cause.same)):
+    is_constant = doubt.term is not None and doubt.term.of is constant
+    if is_constant or any(one.kind == "zero" for one in (doubt, *cause.same)):
         return _of_zero(cause, model, record, says)
     if doubt.mode is not None:
         return _of_mode(doubt.equation, doubt.mode, size)

@@ -30,7 +30,7 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, in_percent, joined
 from riecjax.records.record import Record
 
-LEFT = 1 / 9
+LEFT = 1 / 6
 """Share of the error of a third of the rate that the whole rate leaves, of kinks."""
 RESTS = 0.1
 """Usual deviation of an input from its median, over its root mean square, of one that rests most of
