@@ -99,7 +99,7 @@ def test_advice_is_carried_out_on_what_is_validated_on_as_well():
     (step,) = assessment.followed
     assert "--shift" in step.options
     (run,) = assessment.test("validation").runs
-    assert run.held_out.worst_fit > 98, run.held_out.verdict
+    assert run.held.worst_fit > 98, run.held.verdict
 
 
 def test_a_parameter_on_its_bound_does_not_keep_advice_back():
