@@ -31,7 +31,8 @@ from riecjax.findings import Finding, in_percent, joined
 from riecjax.records.record import Record
 
 LEFT = 1 / 6
-"""Share of the error of a third of the rate that the whole rate leaves, of kinks."""
+"""Share of the error of a third of the rate that the whole rate is taken to leave: between that of
+jumps and that of kinks."""
 RESTS = 0.1
 """Usual deviation of an input from its median, over its root mean square, of one that rests most of
 the time: of a steady one it is a half or more."""
