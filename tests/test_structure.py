@@ -17,13 +17,13 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 49_380,
+    "src lines": 49_335,
     "src modules": 209,
-    "src statements": 23_700,
-    "src literals": 1_445,
+    "src statements": 23_680,
+    "src literals": 1_440,
     "lines of commands and settings": 2_300,
-    "tests lines": 27_405,
-    "benchmarks lines": 9_180,
+    "tests lines": 27_515,
+    "benchmarks lines": 9_370,
     "README lines": 150,
 }
 LEAST_PROSE = 17

@@ -41,7 +41,7 @@ class FindingClass(NamedTuple):
       `symptom`: what makes it so is another cause, if one is known.
     - `widens`: scatter of the parameters that it names is no chance; `short`: the record is short.
     - `assumed`: nothing recorded shows it, and nothing rules it out; `refutes`: the recordings
-      contradict a value, which is not good then, how small its doubt may be.
+      contradict a value, which is not good then, however small its doubt, if its remedy is known.
     - `undo`: its remedy takes the fault off a record, to say how far parameters move; `holds`: the
       signal holds its value for a while, and `feigned`: what such a signal seems to have as well.
     - `disorder`: sensors of one motion do not go together, so that no term is to be looked for.

@@ -110,7 +110,8 @@ def left_out(estimate: Estimate) -> float:
 
 def helps(before: Evidence, after: Evidence) -> bool:
     """Whether a step from one assessment to another makes it better."""
-    was, now = doubts(before), doubts(after)
+    # What is assumed of one model, and was weighed of the other, compares nothing.
+    was, now = (doubts(each, assumed=False) for each in (before, after))
     common = was.keys() & now.keys()
     # Beside a hidden body a mass is another thing, and equations are not weighed.
     is_split = after.model.has_hidden and not before.model.has_hidden

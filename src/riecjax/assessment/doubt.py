@@ -192,15 +192,16 @@ class Doubt(NamedTuple):
         return self.value - self.low - more, self.value + self.high + more
 
 
-def doubts(evidence: Evidence) -> dict[str, Doubt]:
-    """Of each estimated parameter."""
+def doubts(evidence: Evidence, assumed: bool = True) -> dict[str, Doubt]:
+    """Of each estimated parameter, by what is `assumed` as well."""
     answer, found = evidence.answer, {}
     below, above = answer.uncertainty.reach(LEVEL)
     errors = np.asarray(answer.standard_errors)
     # By parameter and code, what findings state of it.
     stated: dict[str, dict[str, list[Finding]]] = defaultdict(lambda: defaultdict(list))
     for finding in evidence.findings():
-        if (finding.doubt or finding.doubts) and evidence.concerns_answer(finding):
+        states = (finding.doubt or finding.doubts) and (assumed or not finding.about.assumed)
+        if states and evidence.concerns_answer(finding):
             for name in evidence.parameters_of(finding):
                 stated[name][finding.code].append(finding)
     for name, low, high in zip(answer.parameters, below * errors, above * errors):
@@ -223,7 +224,10 @@ def doubts(evidence: Evidence) -> dict[str, Doubt]:
             finding=told,
             finest=FINEST * abs(value),
             named=named,
-            refuted=any(f.about.refutes for some in stated[name].values() for f in some),
+            # By values with which all equations are left less.
+            refuted=any(
+                f.about.refutes and f.remedy for some in stated[name].values() for f in some
+            ),
         )
     return found
 
