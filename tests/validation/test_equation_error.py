@@ -14,6 +14,7 @@ from riecjax.errors import DataError, ModelError
 from riecjax.records.record import Record
 from riecjax.records.signal import Signal
 from riecjax.validation.equation_errors import equation_error, errors_over_records, joined
+from riecjax.validation.residuals import residual_tests
 
 STEP, W = 0.01, 2 * np.pi * 3
 TIME = STEP * np.arange(400)
@@ -148,4 +149,4 @@ def test_what_cannot_be_computed_says_so():
         equation_error(velocity_equation(), oscillation().part(0, 2), {"m": 2.0, "c": 1.0})
     slow = Record(oscillation().arrays, 0.02)
     with pytest.raises(DataError, match="one time step"):
-        errors_over_records(velocity_equation(), [oscillation(), slow], {"m": 2.0, "c": 1.0})
+        residual_tests(velocity_equation(), [oscillation(), slow], {"m": 2.0, "c": 1.0})
