@@ -179,7 +179,7 @@ class Weighing:
             # What drifts has a zero as well.
             of_drifts = [one for one in self.rough.of("zero") if causes.is_zero_of(one, drifting)]
             beyond = self._part(None, [*chosen, *of_drifts])
-            return causes_found + [beyond] * (beyond is not None)
+            return causes_found if beyond is None else [*causes_found, beyond]
         rough = self._hysteresis() if is_notable else None
         mode = self._mode() if is_notable and rough is None else None
         if mode is not None and self._rings(mode):
