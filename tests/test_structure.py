@@ -17,9 +17,9 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 49_345,
+    "src lines": 49_330,
     "src modules": 209,
-    "src statements": 23_685,
+    "src statements": 23_675,
     "src literals": 1_440,
     "lines of commands and settings": 2_300,
     "tests lines": 27_515,

@@ -10,6 +10,7 @@ tried, nor is anything refined. Written to benchmarks/constants.json.
 """
 
 import ast
+import functools
 import importlib
 import inspect
 import multiprocessing
@@ -91,13 +92,9 @@ def changed(one: Changed) -> Iterator[None]:
             setattr(place, one.name, before)
 
 
-_trees: dict[str, ast.Module] = {}
-
-
+@functools.cache
 def _tree(name: str) -> ast.Module:
-    if name not in _trees:
-        _trees[name] = ast.parse(inspect.getsource(sys.modules[name]))
-    return _trees[name]
+    return ast.parse(inspect.getsource(sys.modules[name]))
 
 
 def variants(only: tuple[str, ...]) -> list[Changed]:

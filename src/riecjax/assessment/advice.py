@@ -37,10 +37,11 @@ if TYPE_CHECKING:
 
 
 class Asked(NamedTuple):
-    """What is assessed: a model, recordings and settings."""
+    """What is assessed: a model, recordings, those that it is only validated on, and settings."""
 
     model: Model
     recordings: Sequence[Recording]
+    further: Sequence[Recording]
     settings: Assess
 
     def with_options(self, words: Sequence[str]) -> "Asked":
@@ -64,7 +65,7 @@ class Asked(NamedTuple):
             }
 
         model = self.model.with_elements(Elements(**of(Elements)))
-        recordings, fitted = self.recordings, of(Assess)
+        recordings, further, fitted = self.recordings, self.further, of(Assess)
         if of(Read) or of(Prepare):
             pairs = [(option, text) for option, texts in said.items() for text in texts]
 
@@ -76,9 +77,7 @@ class Asked(NamedTuple):
                     kinematics=(),
                 )
 
-            recordings = [*map(prepared, recordings)]
-            further: Any = self.settings.validate_on
-            fitted["validate_on"] = [*map(prepared, further)]
+            recordings, further = ([*map(prepared, some)] for some in (recordings, further))
         given = self.settings.criterion
         changes = {"alpha", "beta", "test_function"} & fitted.keys()
         if changes or (model.has_hidden and not self.model.has_hidden):
@@ -89,7 +88,7 @@ class Asked(NamedTuple):
             fitted = (
                 {"criterion": None, "band": None if own else self.settings.band} | reach | fitted
             )
-        return Asked(model, recordings, replace(self.settings, **fitted))
+        return Asked(model, recordings, further, replace(self.settings, **fitted))
 
 
 def left_out(estimate: Estimate) -> float:

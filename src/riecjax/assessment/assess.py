@@ -140,8 +140,8 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
     """
     model = as_model(model)
     validate_on: Any = settings.validate_on
-    settings = replace(settings, validate_on=ready(model, validate_on) if validate_on else ())
-    asked = Asked(model, ready(model, recordings, settings.noise), settings)
+    further = ready(model, validate_on) if validate_on else []
+    asked = Asked(model, ready(model, recordings, settings.noise), further, settings)
     assessment, steps, before = _assessed(asked), [], None
     for number in range(settings.follow + 1):
         trial = functools.partial(_trial, asked)
@@ -158,15 +158,16 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
 
 def _trial(asked: Asked, options: Sequence[str]) -> Assessment:
     """An assessment with further options, without what is slow and what tells of no parameter."""
-    quiet: dict[str, Any] = {"validate_on": (), "tests": (), "on_estimate": None}
+    quiet: dict[str, Any] = {"tests": (), "on_estimate": None}
     asked = asked.with_options(options)
     refine = asked.settings.refine if "--refine" in options else "none"
-    return _assessed(asked._replace(settings=replace(asked.settings, refine=refine, **quiet)))
+    settings = replace(asked.settings, refine=refine, **quiet)
+    return _assessed(asked._replace(further=[], settings=settings))
 
 
 def _assessed(asked: Asked) -> Assessment:
     """The assessment of what is asked, as it is."""
-    model, recordings, settings = asked
+    model, recordings, further, settings = asked
     model = with_rests(model, settings.at_rest)
     criterion = criterion_for(settings, model, [each.record for each in recordings])
 
@@ -181,8 +182,7 @@ def _assessed(asked: Asked) -> Assessment:
         fitted, held = [part[0] for part in parts], [part[1] for part in parts]
     makers = settings.tests or ()
     require("tests", makers, (tuple, list), "tests=[make], a list of functions that make one each")
-    validate_on: Any = settings.validate_on
-    further = concerning(validate_on)
+    further = concerning(further)
     records = [each.record for each in fitted]
     # What is refused without arithmetic is refused before a sample is read.
     table = plan_parameters(model, len(fitted), settings.known, settings.per_record)

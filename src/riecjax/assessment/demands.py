@@ -18,8 +18,6 @@ from riecjax.validation.residuals import window_errors
 
 SPOILT = 0.1
 """Share of a value that a sensor's fault moves it by, from which no equation is asked for more."""
-
-
 ENOUGH = 12
 """Blocks of time from which nothing that is demanded tells that nothing is."""
 
@@ -143,8 +141,7 @@ def silent_inputs(
 
 def reversed_inputs(equations: Sequence[Equation], estimate: Estimate) -> Iterator[Finding]:
     """`reversed_input` of equations in which all masses and dampers are surely below zero."""
-    _, high = estimate.intervals()
-    below = dict(zip(estimate.parameters, np.asarray(high < 0).tolist()))
+    below = dict(zip(estimate.parameters, np.asarray(estimate.below_zero).tolist()))
     for equation in equations:
         names = [name for name in equation.parameters if name in below]
         signed = [name for name in names if estimate.table[name].sign]

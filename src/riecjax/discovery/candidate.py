@@ -242,17 +242,6 @@ def default_candidates(model: Model, records: Sequence[Record]) -> list[AnyCandi
     return [renamed(c, f"{c.name}_2") if taken & {*c.columns} else c for c in found]
 
 
-def missing(name: str, read: Iterable[str], records: Sequence[Record]) -> bool:
-    """Whether a signal misses samples that all of those hold that equations read: a term of it
-    would take these from all others."""
-    for record in records:
-        there, others = (record.present(names) for names in ([name], [n for n in read]))
-        own = np.ones(record.sample_count, bool) if there is None else np.asarray(there)
-        if np.any(~own if others is None else ~own & np.asarray(others)):
-            return True
-    return False
-
-
 def not_offered(model: Model, records: Sequence[Record]) -> list[Finding]:
     """Which of the usual kinds of candidates a model's motions have no signal for, and why."""
     found: dict[str, Finding] = {}
@@ -295,10 +284,13 @@ def _motions(
             read_expression(term.of, signals)
     known = {name for e in model.equations for pair in e.derivatives for name in pair}
     known |= {*signals.read}
+    # A term of a signal that misses samples which all others hold would take these from them.
+    whole = [record.segments(signals.read) for record in records]
     unread = [
         name
         for name in records[0].arrays
-        if name in recorded and name not in known and not missing(name, signals.read, records)
+        if name in recorded and name not in known
+        if [record.segments([name, *signals.read]) for record in records] == whole
     ]
     names = (name for stage in model.equation_names for name in stage)
     for name, equation in zip(names, model.equations, strict=True):

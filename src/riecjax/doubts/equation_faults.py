@@ -171,15 +171,15 @@ class Weighing:
         chosen = [doubt for doubt in chosen if not causes.is_zero_of(doubt, drifting)]
         if not chosen and self.is_exact:
             return self._part_of(known)
-        if chosen or self.is_exact:
-            causes_found = [self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen]
+        if chosen:
+            told = [self._cause(doubt, chosen, known.get(doubt)) for doubt in chosen]
             # A column tells of what is undone to first order alone: what it leaves is no doubt's.
             if self.is_exact or known.keys() & {*chosen}:
-                return causes_found
+                return told
             # What drifts has a zero as well.
             of_drifts = [one for one in self.rough.of("zero") if causes.is_zero_of(one, drifting)]
             beyond = self._part(None, [*chosen, *of_drifts])
-            return causes_found if beyond is None else [*causes_found, beyond]
+            return told if beyond is None else [*told, beyond]
         rough = self._hysteresis() if is_notable else None
         mode = self._mode() if is_notable and rough is None else None
         if mode is not None and self._rings(mode):

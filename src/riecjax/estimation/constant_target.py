@@ -120,14 +120,13 @@ def _fitted_by_one(seen: "_Averaged", elsewhere: set[str]) -> str:
     left = seen.left_by_motion() if varying > seen.rounding * size else 1.0
     if left**2 < 1 - EXPLAINED:
         # What other equations tell of a parameter, this one's means do not settle.
-        inputs = seen.inputs
-        option = f" on the command line: --unknown-offset {inputs[0]};" if inputs else ""
-        estimated = f" ({option.strip()} rx.Term('offset', rx.constant))"
         if elsewhere.isdisjoint(columns) and (fitted := seen.left_by_means(left)) > 0:
+            options = [f"on the command line: --unknown-offset {name}" for name in seen.inputs[:1]]
+            ways = "; ".join([*options, "rx.Term('offset', rx.constant)"])
             return (
                 f"the constant parts disagree with the motion, as with a wrong zero of a sensor: "
                 f"together they leave {in_percent(fitted)} of how the input varies, motion alone "
-                f"{in_percent(left)}. Add a constant term{estimated}, or remove the signals' "
+                f"{in_percent(left)}. Add a constant term ({ways}), or remove the signals' "
                 f"offsets."
             )
         return ""

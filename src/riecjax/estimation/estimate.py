@@ -623,14 +623,21 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
             high=high,
         )
 
+    @property
+    def below_zero(self) -> Bool[np.ndarray, " p"]:
+        """Masses and dampers whose whole interval lies below zero (not under jit)."""
+        _, high = self.intervals()
+        signed = [self.table[name].sign != "" for name in self.parameters]
+        return (high < 0) & np.array(signed)
+
     def _negative_values(self) -> list[Finding]:
-        """Masses and dampers whose whole interval lies below zero."""
+        """Masses and dampers that come out below zero."""
         low, high = self.intervals()
         rows = [self.table[name] for name in self.parameters]
         return each_finding(
             "negative_value",
             self.parameters,
-            (high < 0) & np.array([row.sign != "" for row in rows]),
+            self.below_zero,
             "{name} is below zero, from {low:.4g} to {high:.4g} {row.unit}: {row.sign}. Check the "
             "signs of the signals against the equation's, and the direction of time.",
             low=low,

@@ -68,11 +68,6 @@ class EquationError(PlainMethods, eqx.Module):
     unit: str = eqx.field(static=True)
     times: Float[Leaf, " values"]
 
-    @property
-    def series(self) -> Float[np.ndarray, " values"]:
-        """The error, NaN where it is not present (not under jit)."""
-        return np.where(self.present, self.error, np.nan)
-
     def runs(self) -> list[slice]:
         """Stretches in which it is present (not under jit)."""
         return [slice(a, b) for a, b in runs(np.asarray(self.present)).T.tolist()]
