@@ -177,8 +177,9 @@ class Weighing:
             if self.is_exact or known.keys() & {*chosen}:
                 return told
             # What drifts has a zero as well.
-            of_drifts = [one for one in self.rough.of("zero") if causes.is_zero_of(one, drifting)]
-            beyond = self._part(None, [*chosen, *of_drifts])
+            is_zero = self.rough.is_zero_of
+            zeros = [one for one in self.rough.of("zero") if is_zero(one, drifting)]
+            beyond = self._part(None, [*chosen, *zeros])
             return told if beyond is None else [*told, beyond]
         rough = self._hysteresis() if is_notable else None
         mode = self._mode() if is_notable and rough is None else None
