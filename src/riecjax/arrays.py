@@ -243,7 +243,10 @@ def repeated(step: Callable[[Any], Tree], start: Tree, times: int, *, beside: An
     if are_traced(start, beside):
         return jax.lax.fori_loop(0, times, lambda _, state: step(state), start)
     for _ in range(times):
-        start = step(start)
+        before, start = start, step(start)
+        # A step that changes nothing never does again.
+        if all(map(np.array_equal, jax.tree.leaves(before), jax.tree.leaves(start))):
+            break
     return start
 
 

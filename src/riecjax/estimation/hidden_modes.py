@@ -98,12 +98,12 @@ class ModeStage(NamedTuple):
 
     def projected(self, at: Float[Array, "*batch shapes"]) -> "Projected":
         """The best fit with elements of these shapes."""
-        return Projected.of(
-            sum(
-                mix @ moments @ xp.swapaxes(mix, -1, -2)
-                for mix, moments in zip(self.mixes(at), self.moments)
-            )
-        )
+        return self.fitted(self.mixes(at))
+
+    def fitted(self, mixes: list[Float[Array, "*batch 1+linear c"]]) -> "Projected":
+        """The best fit of the target by the regressors, both combinations of columns."""
+        pairs = zip(mixes, self.moments)
+        return Projected.of(sum(mix @ sums @ xp.swapaxes(mix, -1, -2) for mix, sums in pairs))
 
     def mixes(self, at: Float[Array, "*batch shapes"]) -> list[Float[Array, "*batch 1+linear c"]]:
         """Target and regressors of each equation, as combinations of its columns.
@@ -146,19 +146,22 @@ class ModeStage(NamedTuple):
         # Derivatives of the combinations by x are central differences, which no moment enters: the
         # slope's own derivative by the moments, which the implicit function theorem asks for, is
         # exact.
-        step = float(np.finfo(at.dtype).eps) ** 0.25
-        unit = step * np.eye(at.shape[-1], dtype=at.dtype)
+        step, count = float(np.finfo(at.dtype).eps) ** 0.25, at.shape[-1]
+        unit = step * np.eye(count, dtype=at.dtype)
         both, apart = unit[:, None] + unit, unit[:, None] - unit
-        offsets = np.zeros_like(unit[0]), unit, -unit, both, apart, -apart, -both
-        around = [self.mixes(xp.broadcast_to(at, each.shape) + each) for each in offsets]
-        theta = self.projected(at).theta
+        once, twice = np.stack([unit, -unit]), np.stack([both, apart, -apart, -both])
+        offsets = [each.reshape(-1, count) for each in (np.zeros_like(unit[:1]), once, twice)]
+        around = self.mixes(at + np.concatenate(offsets))
+        theta = self.fitted([table[0] for table in around]).theta
         theta = xp.concatenate([xp.ones_like(theta[:1]), -theta])
         none: Any = 0.0
         slope = own = mixed = inner = none
-        for moments, mix, up, down, *corners in zip(self.moments, *around):
+        for moments, table in zip(self.moments, around):
+            mix, rows_once, rows_twice = table[0], table[1 : 1 + 2 * count], table[1 + 2 * count :]
+            up, down = rows_once.reshape(2, count, *mix.shape)
             first = (up - down) / (2 * step)
-            one, two, three, four = (theta @ corner for corner in corners)
-            second = (one - two - three + four) / (4 * step**2)
+            corners = (theta @ rows_twice).reshape(4, count, count, -1)
+            second = (corners[0] - corners[1] - corners[2] + corners[3]) / (4 * step**2)
             moved, rows = theta @ first, -mix[1:]
             left = moments @ (theta @ mix)
             slope = slope + 2 * moved @ left
