@@ -136,13 +136,13 @@ def _spoils(was: Doubt, now: Doubt) -> bool:
 
 
 def tried(evidence: Evidence, again: Callable[[Sequence[str]], Evidence]) -> Iterator[Step]:
-    """Steps that are proposed and help.
+    """Steps that are proposed and help, of each kind of cause the first.
 
     **Arguments:** `again` assesses with further options.
     """
-    seen = set[tuple[str, ...]]()
-    for step in proposals(evidence):
-        if not step.options or step.options in seen:
+    seen, mended = set[tuple[str, ...]](), set[str]()
+    for finding, step in proposals(evidence):
+        if step.options in seen or finding.about.kind in mended:
             continue
         seen.add(step.options)
         try:
@@ -153,14 +153,29 @@ def tried(evidence: Evidence, again: Callable[[Sequence[str]], Evidence]) -> Ite
             was, now = (each.answer for each in (evidence, after))
             names = [name for name in was.parameters if name in now.parameters]
             changed = {name: (float(was[name]), float(now[name])) for name in names}
+            mended.add(finding.about.kind)
             yield replace(step, changed=changed)
 
 
-def proposals(evidence: Evidence) -> Iterator[Step]:
-    """What findings propose to do, the most important first."""
+def proposals(evidence: Evidence) -> Iterator[tuple[Finding, Step]]:
+    """What findings propose to do, the most important first: those that make most of a doubt, and
+    those that concern parameters that are not good and are no part of a doubt."""
+    by_name = doubts(evidence)
     by_importance = sorted(evidence.findings(), key=lambda finding: finding.importance)
+    poor = {name for name, doubt in by_name.items() if not doubt.is_good}
     for finding in by_importance:
-        yield from steps_of(finding, by_importance)
+        if finding.about.rules_out:
+            poor |= evidence.parameters_of(finding)
+    systematic = {name for name, doubt in by_name.items() if doubt.wrong > doubt.scatter}
+    for finding in by_importance:
+        concerned = evidence.parameters_of(finding) & by_name.keys()
+        if finding.doubt or finding.doubts:
+            matters = any(finding in by_name[n].largest for n in concerned & (poor | systematic))
+        else:
+            matters = bool(concerned & poor)
+        if matters:
+            of_finding = steps_of(finding, by_importance)
+            yield from ((finding, step) for step in of_finding if step.options)
 
 
 def steps_of(finding: Finding, among: Sequence[Finding]) -> Iterator[Step]:

@@ -136,18 +136,17 @@ class Doubt(NamedTuple):
     """How far the `value` of one parameter may be off, in its unit.
 
     **Fields:** `low`, `high`: reach below and above the value by scatter; `wrong`, by what may be
-    wrong, of the `finding` that says most of it, `None` where nothing is, and the one to be
-    `named`, which knows what to do about at least half as much; `finest`, what is never claimed;
-    whether the recordings contradict it, `refuted`.
+    wrong; `largest`, findings that say so, the one that says most of it first and then those that
+    say more than half as much; `finest`, what is never claimed; whether the recordings contradict
+    it, `refuted`.
     """
 
     value: float
     low: float
     high: float
     wrong: float = 0.0
-    finding: Finding | None = None
+    largest: tuple[Finding, ...] = ()
     finest: float = 0.0
-    named: Finding | None = None
     refuted: bool = False
 
     @property
@@ -171,6 +170,12 @@ class Doubt(NamedTuple):
         return self.scatter / size_of(self.value)
 
     @property
+    def named(self) -> Finding | None:
+        """What says most of `wrong` and knows what to do about it: not a symptom, but what it is
+        of."""
+        return max(self.largest, key=lambda finding: bool(finding.remedy), default=None)
+
+    @property
     def is_good(self) -> bool:
         """Whether it leaves the value good."""
         return self.share <= TRUSTED and not self.refuted
@@ -179,9 +184,9 @@ class Doubt(NamedTuple):
     def is_wrong(self) -> bool:
         """Whether the recordings show that all of it may be wrong; or that the model is, which is
         too much for a good value and more than scatter."""
-        if self.finding is None or self.finding.about.assumed:
+        if not self.largest or self.largest[0].about.assumed:
             return False
-        of_model = self.finding.about.kind == "model"
+        of_model = self.largest[0].about.kind == "model"
         least = max(self.scatter, TRUSTED * abs(self.value)) if of_model else abs(self.value)
         return self.wrong > least or self.wrong == abs(self.value) > 0
 
@@ -207,23 +212,22 @@ def doubts(evidence: Evidence, assumed: bool = True) -> dict[str, Doubt]:
     for name, low, high in zip(answer.parameters, below * errors, above * errors):
         value = float(answer[name])
         shares = {code: _stated(name, findings) for code, findings in stated[name].items()}
-        worst = max(shares, key=lambda code: shares[code], default="")
-        told = max(
-            stated[name].get(worst, ()), key=lambda f: f.doubts.get(name, f.doubt), default=None
-        )
-        # Not a symptom, but what it is of.
-        near = (
-            f for code in shares if shares[code] > shares[worst] / 2 for f in stated[name][code]
-        )
-        named = max(near, key=lambda f: (bool(f.remedy), f is told), default=None)
+        ranked = sorted(shares, key=lambda code: -shares[code])
+        wrong = max(shares.values(), default=0.0)
         found[name] = Doubt(
             value=value,
             low=float(low),
             high=float(high),
-            wrong=shares.get(worst, 0.0) * abs(value),
-            finding=told,
+            wrong=wrong * abs(value),
+            largest=tuple(
+                finding
+                for code in ranked
+                if shares[code] > wrong / 2
+                for finding in sorted(
+                    stated[name][code], key=lambda f: -f.doubts.get(name, f.doubt)
+                )
+            ),
             finest=FINEST * abs(value),
-            named=named,
             # By values with which all equations are left less.
             refuted=any(
                 f.about.refutes and f.remedy for some in stated[name].values() for f in some
