@@ -41,38 +41,37 @@ def causes_found(
     """
     # Not earlier: who only checks recordings waits for none of these.
     from riecjax.discovery.candidate import lacked
-    from riecjax.doubts.equation_faults import can_be_weighed, demanded, finding_of
+    from riecjax.doubts.equation_faults import demanded, finding_of, why_not_weighed
     from riecjax.doubts.sampled_inputs import between_samples
 
     silent = [*silent_inputs(model.equations, records, errors, estimate.criterion.windows)]
     silent = silent or [*reversed_inputs(model.equations, estimate)]
-    weighed = can_be_weighed(model, records, estimate)
-    if silent:
-        return silent, weighed
-    if not weighed:
-        return [*not_weighed(estimate)], weighed
+    why = why_not_weighed(model, records, estimate)
+    if silent or why:
+        return silent or [*not_weighed(estimate, why)], not why
     assumed = between_samples(model, records, estimate)
     if any(
         (finding.about.disorder or finding.about.holds or finding.about.undo)
         and max(finding.doubts.values(), default=finding.doubt) > SPOILT
         for finding in checked.findings
     ):
-        return assumed, weighed
+        return assumed, True
     causes = demanded(model, records, estimate, lacked)
     if not causes and int(estimate.block_count) < ENOUGH:
-        assumed += not_weighed(estimate)
-    return [*assumed, *(finding_of(cause, model, records) for cause in causes)], weighed
+        assumed += not_weighed(estimate, "from so short a record")
+    return [*assumed, *(finding_of(cause, model, records) for cause in causes)], True
 
 
-def not_weighed(estimate: Estimate) -> Iterator[Finding]:
-    """`not_weighed` of equations that leave more than noise where no cause of that can be told.
+def not_weighed(estimate: Estimate, why: str) -> Iterator[Finding]:
+    """`not_weighed` of equations that leave more than noise where no cause of that can be told, and
+    why.
 
     What is left is taken to have moved each parameter by as much of it as it is of the term: all
     of what is left may have been of the term's own shape.
     """
-    for stage in estimate.stages:
+    for stage, names in zip(estimate.stages, estimate.equation_names):
         sizes = dict(zip(stage.parameters, np.asarray(stage.relative_size, float)))
-        for fit in stage.equations:
+        for equation, fit in zip(names, stage.equations):
             left = float(fit.model_rms)
             doubts = {
                 name: min(left / size_of(sizes[name] * float(estimate[name])), 1.0)
@@ -81,9 +80,8 @@ def not_weighed(estimate: Estimate) -> Iterator[Finding]:
             if left > FINEST and doubts:
                 yield Finding(
                     "not_weighed",
-                    f"the model leaves {in_percent(left)} of what it was to explain beyond noise. "
-                    f"What that is cannot be told of so few blocks of time, of hidden elements, or "
-                    f"of parameters of each recording.",
+                    f"{equation}: the model leaves {in_percent(left)} of what it was to explain "
+                    f"beyond noise. What that is cannot be told {why}.",
                     parameters=fit.parameters,
                     doubts=doubts,
                 )

@@ -361,14 +361,16 @@ def _farthest(moves: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {name: max((some.get(name, 0.0) for some in moves), key=abs) for name in names}
 
 
-def can_be_weighed(model: Model, records: Sequence[Record], estimate: Estimate) -> bool:
-    """Whether columns tell: not of hidden elements, parameters of each recording, windows drawn at
-    random, and records too short for blocks to scatter."""
-    own = any(estimate.table[name].recording is not None for name in estimate.parameters)
-    if model.has_hidden or own or estimate.criterion.all_windows is None:
-        return False
-    told = estimate.summary is not None and int(estimate.block_count) >= FEWEST
-    return told and longest_delay(records) > 2
+def why_not_weighed(model: Model, records: Sequence[Record], estimate: Estimate) -> str:
+    """Why columns tell no cause of what is left, in words; empty where they do."""
+    if model.has_hidden:
+        return "beside hidden elements"
+    if any(estimate.table[name].recording is not None for name in estimate.parameters):
+        return "beside parameters of each recording"
+    if estimate.criterion.all_windows is None or estimate.summary is None:
+        return "from windows drawn at random"
+    few = int(estimate.block_count) < FEWEST or longest_delay(records) <= 2
+    return "from so short a record" if few else ""
 
 
 @np.errstate(all="ignore")

@@ -14,7 +14,7 @@ import numpy as np
 
 from riecjax.doubts.causes import FEWEST, LEVEL
 from riecjax.doubts.columns import Asked, folds_of
-from riecjax.doubts.equation_faults import HALF, MOVES, can_be_weighed
+from riecjax.doubts.equation_faults import HALF, MOVES, why_not_weighed
 from riecjax.equations.model import Model
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.estimate import Estimate
@@ -33,7 +33,7 @@ def refuted(
 
     **Arguments:** `together` estimates with all equations in one stage.
     """
-    if len(model.stages) < 2 or not can_be_weighed(model, records, estimate):
+    if len(model.stages) < 2 or why_not_weighed(model, records, estimate):
         return []
     asked, earlier = Asked.of(model, estimate), set[str]()
     against: dict[str, set[str]] = {}
