@@ -250,16 +250,18 @@ def test_what_is_held_at_a_bound_is_known_to_the_others(intervals):
 
 
 def test_an_estimate_follows_priors_and_bounds_as_differences_do():
+    summary = rx.summarise(BODY, record(), RIEC, noise="none")
+
     def theta(mean, std, upper):
         limits: Any = {"priors": {"d": (mean, std)}, "bounds": {"k": (None, upper)}}
-        return rx.identify(BODY, record(), RIEC, **limits, **PLAIN).theta
+        return rx.estimate(BODY, summary, **limits, intervals="naive").theta
 
     at, compiled = (1.0, 0.2, 29.5), jax.jit(theta)
-    for number, value in enumerate(at):
+    slopes = jax.jacfwd(compiled, argnums=(0, 1, 2))(*map(jnp.asarray, at))
+    for number, (value, slope) in enumerate(zip(at, slopes)):
         step = 1e-4 * value
         ends = ([*at[:number], value + s, *at[number + 1 :]] for s in (step, -step))
         above, below = (compiled(*map(jnp.asarray, end)) for end in ends)
-        slope = jax.jacfwd(compiled, argnums=number)(*map(jnp.asarray, at))
         np.testing.assert_allclose(slope, (above - below) / (2 * step), rtol=1e-5, atol=1e-7)
     batch = jax.vmap(lambda mean: theta(mean, *at[1:]))(jnp.array([0.5, 1.0]))
     np.testing.assert_allclose(batch[1], theta(*at), rtol=1e-9)
@@ -268,8 +270,10 @@ def test_an_estimate_follows_priors_and_bounds_as_differences_do():
 
 
 def test_bounds_that_are_traced_in_the_wrong_order_have_no_answer():
+    summary = rx.summarise(BODY, record(), RIEC, noise="none")
+
     def found(lower):
-        return rx.identify(BODY, record(), RIEC, bounds={"k": (lower, 29.5)}, **PLAIN)
+        return rx.estimate(BODY, summary, bounds={"k": (lower, 29.5)}, intervals="naive")
 
     batch = jax.vmap(found)(jnp.array([0.0, 30.0, 29.5]))
     assert batch.determined.tolist() == [True, False, False]

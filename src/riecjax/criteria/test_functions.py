@@ -614,7 +614,12 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
                 found.append(along(found[-1]))
             return [of(at) for of in found]
 
-        return xp.in_double(every, tau)
+        if xp.are_traced(tau, length):
+            return every(tau)
+        # A function of JAX's is compiled for each size: for few of them.
+        filled = np.zeros(2 ** math.ceil(math.log2(max(tau.size, 1))))
+        filled[: tau.size] = tau
+        return [of[: tau.size] for of in xp.in_double(every, filled)]
 
 
 @functools.lru_cache(maxsize=64)  # of one chunk after the other, and of noise sent through each
