@@ -28,7 +28,7 @@ UNEXPLAINED = 0.1
 """Share of the energy left beyond noise that a cause leaves at most."""
 OF_NOISE = 0.07
 """The same as a share of what noise leaves: no closer is known how much that is."""
-PART = 0.25
+PART = 0.5
 """Share of what is left that the best of several causes gains by itself at the least."""
 LOST = 0.03
 """Energy left, as a share, from which a delay may be too large to be found from where it is."""
@@ -42,8 +42,6 @@ MOST = 3
 """Doubts that are the cause together at the most."""
 OWN = 1e-7
 """Share of a column that is its own beside regressors and target, below which rounding makes it."""
-OWN_NOISE = 0.05
-"""The same over the noise in it: no closer is known how much noise there is."""
 
 
 @dataclass(eq=False)
@@ -71,12 +69,7 @@ class Causes:
         self.every = [doubt for doubt in self.every if doubt.name in there]
         self._known: dict[tuple[str, ...], dict[Doubt, Told]] = {}
         self._left: dict[frozenset[str], float] = {}
-        # A column that is its own beyond rounding and noise.
-        self.offered = [
-            doubt
-            for doubt, told in self.beside([]).items()
-            if told.own > max(OWN, OWN_NOISE * told.noise)
-        ]
+        self.offered = [doubt for doubt, told in self.beside([]).items() if told.own > OWN]
 
     def of(self, *kinds: str) -> list[Doubt]:
         """The doubts of some kinds that can be tested."""

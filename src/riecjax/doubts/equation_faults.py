@@ -48,17 +48,10 @@ from riecjax.summaries.summarise import signals_read
 
 HALF = 0.5
 """Share of what is left that a delay's column leaves at most, for the delay to be undone."""
-VISIBLE = 0.003
-"""Rms left beyond noise, over the target, from which a delay that changes is looked for."""
-RINGS = 0.3
-"""Share of the energy left beyond noise that a mode or hysteresis leaves at most: their shapes are
-rough ones."""
 MOVES = 1.0
 """Standard errors by which a cause moves some parameter at the least."""
 NOTABLE = 0.02
 """Rms that is left, over the target's, from which a cause matters whatever it moves."""
-SLIGHT = 1e-3
-"""Share of a drift that an offset beside it is at the least."""
 NEAR = 8
 """Doubts that gain most, of which noise is taken off."""
 
@@ -181,9 +174,8 @@ class Weighing:
             zeros = [one for one in self.rough.of("zero") if is_zero(one, drifting)]
             beyond = self._part(None, [*chosen, *zeros])
             return told if beyond is None else [*told, beyond]
-        rough = self._hysteresis() if is_notable else None
-        mode = self._mode() if is_notable and rough is None else None
-        if mode is not None and self._rings(mode):
+        mode, rough = self._mode() if is_notable else None, None
+        if mode is not None and causes.is_little(mode.left**2 * causes.folds.energy):
             rough = mode
         # A rough shape is no cause where a delay explains more.
         best = min(delays, key=lambda delay: causes.left([delay]), default=None)
@@ -293,7 +285,7 @@ class Weighing:
         """The delay of a single record that changes along it, if that explains what is left, and
         clearly more of it than one that stays."""
         causes, energy = self.causes, self.causes.folds.energy
-        is_visible = self.is_exact or causes.before > VISIBLE**2 * energy
+        is_visible = self.is_exact or causes.before > NOTABLE**2 * energy
         may_change = large or doubt.signals in self.changing
         if len(self.records) > 1 or not (may_change and is_visible):
             return None
@@ -306,20 +298,6 @@ class Weighing:
         if steady is None or not causes.is_little(energy * steady.left):
             return found
         return found if CLEARER * found.left < steady.left else None
-
-    def _hysteresis(self) -> Cause | None:
-        """Hysteresis that explains what is left roughly, as no term does."""
-        causes = self.causes
-        most = max(RINGS * causes.before, OF_NOISE * causes.noise)
-        rough = [
-            one
-            for one in causes.of("term", STATES)
-            if causes.left([one]) < most and causes.is_sure(one)
-        ]
-        if not rough or any(one.kind != STATES for one in rough):
-            return None
-        best = min(rough, key=lambda one: causes.left([one]))
-        return self._cause(best, [best], None)
 
     def _mode(self) -> Cause | None:
         """A mode on one of the bodies that explains what is left."""
@@ -339,11 +317,6 @@ class Weighing:
             names = [name for name in folds.parameters if name != doubt.name]
             moved = self._moved(folds.values(folds.parameters), folds.values(names)) | moved
         return cause._replace(moved=moved, own=moved)
-
-    def _rings(self, mode: Cause) -> bool:
-        """Whether a mode explains what is left roughly."""
-        most = max(RINGS * mode.before**2, OF_NOISE * self.causes.noise / self.causes.folds.energy)
-        return mode.before > NOTABLE and mode.left**2 < most
 
     def _moved(self, after: Mapping[str, float], before: Mapping[str, float]) -> dict[str, float]:
         """Shares by which parameters change, each in the stage that finds it."""
@@ -659,10 +632,9 @@ def _of_size(cause: Cause, model: Model, record: Record, says: str) -> _Said:
             remedy,
             step,
         )
-    offset = cause.offset if abs(cause.offset) > SLIGHT * abs(size) else 0.0
     start, *_, end = np.asarray(record.elapsed)
     slope = size / (end - start)
-    zero = offset - slope * 0.5 * (start + end)
+    zero = cause.offset - slope * 0.5 * (start + end)
     remedy = (
         *option_for("--zero", (name,), f"{zero:.6g}"),
         *option_for("--slope", (name,), f"{slope:.6g}"),

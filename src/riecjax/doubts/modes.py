@@ -34,7 +34,7 @@ CLOSER = 6
 """Times that the steps between shapes are halved."""
 AT_END = 1.1
 """Ratio to an end of the band, within which a frequency lies beyond it."""
-MOST_DAMPED = 0.9
+MOST_DAMPED = 1.0
 """Damping ratio of what still rings."""
 
 

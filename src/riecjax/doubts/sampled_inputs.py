@@ -27,7 +27,7 @@ import numpy as np
 from riecjax.doubts.columns import Asked, Course, Doubt, Samples, folds_of
 from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding, in_percent, joined
+from riecjax.findings import FINEST, Finding, in_percent, joined
 from riecjax.records.record import Record
 
 LEFT = 1 / 6
@@ -36,8 +36,6 @@ jumps and that of kinks."""
 RESTS = 0.1
 """Usual deviation of an input from its median, over its root mean square, of one that rests most of
 the time: of a steady one it is a half or more."""
-NOTABLE = 0.01
-"""Share of a value from which it is told, where it is more than scatter as well."""
 
 
 def _third(samples: Samples, shape: Callable[[Samples], Samples]) -> Samples:
@@ -87,7 +85,7 @@ def between_samples(model: Model, records: Sequence[Record], estimate: Estimate)
             name = name.partition(".")[2]
             if name in estimate.parameters and LEFT * abs(move) > estimate.standard_error(name):
                 shares.setdefault(name, LEFT * abs(move / asked.values[name]))
-        if max(shares.values(), default=0.0) > NOTABLE:
+        if max(shares.values(), default=0.0) > FINEST:
             signals += doubt.signals
             moved |= {name: max(share, moved.get(name, 0.0)) for name, share in shares.items()}
     if not signals:

@@ -278,8 +278,6 @@ FEWEST_SAMPLES = 4
 """Samples that the shortest window spans at least."""
 FEWEST_STRETCHES = 10
 """Longest windows that the records hold at least, end to end."""
-SHARE_OF_BLOCKS = 0.5
-"""A length with windows in less than this share of the blocks that another has gets no estimate."""
 LONGER = 2.0
 """Reach of a sweep beyond beta. Below alpha it has none: windows shorter than those that were asked
 for show motions that the model was never meant for, and nearly every model fails there."""
@@ -355,7 +353,7 @@ def sweep_of_sums(summary: Summary, table: ParameterTable) -> WindowSweep:
     *found, held = map(np.stack, zip(*every))
     # By the pass of all lengths in use.
     whole = _estimates(summary.equations(), table, short, used)[0]
-    known = (held >= SHARE_OF_BLOCKS * np.max(held)) & (held > 0)
+    known = held > 0
     return WindowSweep(
         ends[:, 0],
         ends[:, 1],
