@@ -285,9 +285,7 @@ class Weighing:
         """The delay of a single record that changes along it, if that explains what is left, and
         clearly more of it than one that stays."""
         causes, energy = self.causes, self.causes.folds.energy
-        is_visible = self.is_exact or causes.before > NOTABLE**2 * energy
-        may_change = large or doubt.signals in self.changing
-        if len(self.records) > 1 or not (may_change and is_visible):
+        if len(self.records) > 1 or not (large or doubt.signals in self.changing):
             return None
         if steady is not None and energy * steady.left <= OF_NOISE * causes.noise:
             return None
