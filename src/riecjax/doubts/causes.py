@@ -42,6 +42,9 @@ MOST = 3
 """Doubts that are the cause together at the most."""
 OWN = 1e-7
 """Share of a column that is its own beside regressors and target, below which rounding makes it."""
+OWN_NOISE = 2.0
+"""The same over the noise in it, which is not known closely: a delay of a position is to first
+order the damping of the velocity beside it, and what is its own of that is what sensors add."""
 
 
 @dataclass(eq=False)
@@ -69,7 +72,12 @@ class Causes:
         self.every = [doubt for doubt in self.every if doubt.name in there]
         self._known: dict[tuple[str, ...], dict[Doubt, Told]] = {}
         self._left: dict[frozenset[str], float] = {}
-        self.offered = [doubt for doubt, told in self.beside([]).items() if told.own > OWN]
+        # A column that is its own beyond rounding and noise.
+        self.offered = [
+            doubt
+            for doubt, told in self.beside([]).items()
+            if told.own > max(OWN, OWN_NOISE * told.noise)
+        ]
 
     def of(self, *kinds: str) -> list[Doubt]:
         """The doubts of some kinds that can be tested."""

@@ -186,13 +186,20 @@ class Weighing:
     def _part(self, mode: Cause | None, beside: Sequence[Doubt] = ()) -> Cause | None:
         """Doubts that explain a part of what is left beside some, let in one after the other, with
         the farthest that any of them, or a mode, moves each parameter."""
-        rough, every = self.rough, self.rough.admitted(beside)
+        fair, every = self.causes, [*beside]
+        if self.rough.admitted(beside) != every:
+            # What rough columns make sure of may be the noise that they share with regressors.
+            if not fair.offered:
+                near = self.rough.nearest(NEAR)
+                folds = folds_of(self.asked, self.records, near)
+                fair = Causes(folds, near, self.rough.plausible, self.rough.trials)
+            every = fair.admitted(beside)
         chosen = every[len(beside) :]
-        some = (rough.names(every[:count]) for count in range(len(beside), len(every) + 1))
-        fits = [rough.folds.values(names) for names in some]
+        some = (fair.names(every[:count]) for count in range(len(beside), len(every) + 1))
+        fits = [fair.folds.values(names) for names in some]
         moves = [self._moved(fit, fits[0]) for fit in fits[1:]]
         moved = _farthest([*moves, *([] if mode is None else [mode.moved])])
-        before, left = (rough.rms(rough.left(some)) for some in (beside, every))
+        before, left = (fair.rms(fair.left(some)) for some in (beside, every))
         if chosen and (mode is None or left < mode.left):
             size = fits[-1][chosen[0].name]
             return Cause(chosen[0], size, before, left, moved, admitted=tuple(chosen))
