@@ -19,3 +19,10 @@ def test_a_fault_changes_its_own_signal_alone_and_a_wrong_sign_is_named(tmp_path
     assert outcome.harmed
     assert outcome.named
     assert not judge.sound_answer("drag", 0, 0.01, tmp_path).findings
+
+
+def test_a_delay_that_is_the_damping_of_its_own_velocity_explains_no_part_of_noise(tmp_path):
+    """Beside its velocity, what a position's delay has of its own is what sensors add to it."""
+    for seed in (1000, 1004):
+        codes = [f.code for f in judge.sound_answer("car", seed, 0.01, tmp_path).findings]
+        assert "unexplained" not in codes, seed

@@ -104,6 +104,23 @@ def test_it_identifies_from_positions(windows):
     assert estimate.criterion.describe()["test_function"] == "cosine"
 
 
+def test_a_weight_is_compiled_for_few_lengths():
+    equation, record = oscillator()
+    criterion = rx.RIEC(rx.AllWindows(0.2, 0.8), Cosine())
+    compiled = []
+
+    def listen(event: str, duration_secs: float, **about: str | int) -> None:
+        if event.endswith("backend_compile_duration"):
+            compiled.append(about.get("fun_name"))
+
+    jax.clear_caches()
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    rx.identify(equation, record, criterion, intervals=rx.Naive())
+    jax.monitoring.unregister_event_duration_listener(listen)
+    # Of 32 lengths: once for each power of two of samples, and each operation.
+    assert 0 < len(compiled) < 3 * 32
+
+
 def test_the_command_line_offers_the_test_functions_that_are_there():
     assert {*TEST_FUNCTION.choices} == {"auto", *TEST_FUNCTIONS}
     model = rx.staged(rx.Equation(rx.Term("m", "x", derivative=2), -rx.Term(1.0, "F")))
