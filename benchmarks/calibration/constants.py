@@ -36,19 +36,17 @@ DECIDING = {
     ),
     "riecjax.doubts.columns": ("SLIGHT", "APART", "LONGEST_SHARE", "REACH", "GAIN", "JUMPS"),
     "riecjax.doubts.delays": ("SMALLEST", "TURN", "PERHAPS", "CERTAIN", "SLIGHT", "FARTHEST"),
-    "riecjax.doubts.equation_faults": (
-        *("HALF", "VISIBLE", "RINGS", "MOVES", "NOTABLE", "SLIGHT", "NEAR"),
-    ),
+    "riecjax.doubts.equation_faults": (*("HALF", "MOVES", "NOTABLE", "NEAR"),),
     "riecjax.doubts.kinematics": (
         *("MOST_NOISE", "MOVING", "ALIKE", "ROUGHLY", "ROUGH", "MOST", "GROSS", "GAIN", "OFFSET"),
         *("UNRELATED", "CLEAR", "CALIBRATED"),
     ),
     "riecjax.doubts.modes": ("FREQUENCIES", "PASSES", "CLOSER", "AT_END", "MOST_DAMPED"),
-    "riecjax.doubts.sampled_inputs": ("LEFT", "RESTS", "NOTABLE"),
+    "riecjax.doubts.sampled_inputs": ("LEFT", "RESTS"),
     "riecjax.estimation.constant_target": (
         *("CONSTANT", "STILL", "EXPLAINED", "DISAGREEING", "SLIGHT"),
     ),
-    "riecjax.estimation.estimate": ("NOTABLE_INFLATION", "NOTABLE_LEAN", "MATTERING_SHARE"),
+    "riecjax.estimation.estimate": ("NOTABLE_INFLATION", "MATTERING_SHARE"),
     "riecjax.estimation.excitation": ("NEARLY_COLLINEAR", "DOMINATES", "DROWNED"),
     "riecjax.findings": ("FINEST",),
     "riecjax.folds": ("FOLDS", "COLLINEAR"),
@@ -56,7 +54,7 @@ DECIDING = {
         *("BAND_SHARE", "PROMINENCE", "PEAK_BAND", "PEAK_SHARE", "NOTABLE_SIZE"),
     ),
     "riecjax.validation.sweep": (
-        *("LEVEL", "SMALLEST_DRIFT", "MOST", "FEWEST_STRETCHES", "SHARE_OF_BLOCKS", "LONGER"),
+        *("LEVEL", "SMALLEST_DRIFT", "MOST", "FEWEST_STRETCHES", "LONGER"),
     ),
 }
 """Of modules that doubts come from, the numbers that a rule compares with."""

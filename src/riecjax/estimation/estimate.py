@@ -34,8 +34,6 @@ from riecjax.uncertainty.intervals import Uncertainty
 
 NOTABLE_INFLATION = 1.1
 """Factor on a standard error from which recordings are said to disagree."""
-NOTABLE_LEAN = 3.0
-"""How many times as far as the small-sample sandwich an interval reaches before it is said why."""
 TOLD_LAG = 8
 """Standard errors from which on a lag is told from none, and its inverse has an interval.
 
@@ -646,7 +644,7 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
         )
 
     def _few_blocks(self) -> Iterator[Finding]:
-        """Intervals by a small-sample sandwich, and those that lean."""
+        """Intervals by a small-sample sandwich."""
         yield from finding(
             "few_blocks",
             self.parameters,
@@ -655,17 +653,6 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
             "few independent stretches of the record tell of {} (degrees of freedom of the "
             "variance): these intervals come from a small-sample sandwich with Student's t and are "
             "the wider the fewer there are. Record for longer, or excite them all along.",
-        )
-        # Intervals that reach much farther than errors alike all along call for.
-        times = np.where(self.uncertainty.few_blocks, 1.0, self.uncertainty.times_sandwich)
-        yield from finding(
-            "uneven_errors",
-            self.parameters,
-            times > NOTABLE_LEAN,
-            times,
-            "a few stretches of the record err so much more than the rest that the intervals of {} "
-            "reach so many times as far as they otherwise would. Look at those stretches, or "
-            "record for longer.",
         )
 
     def _disagreement(self) -> list[Finding]:

@@ -59,7 +59,6 @@ class Uncertainty:
     - `degrees_of_freedom` behind each variance, see [`effective_freedom`][].
     - `few_blocks`: parameters that so few blocks tell of that the small-sample sandwich and
       Student's t stand in, see [`with_few_blocks`][].
-    - `times_sandwich`: how many times as far as that sandwich replicates reach, 1 without any.
     - `method` of all other parameters, in words.
     - `prior_share`: share of what is known of each that its prior tells; `None` without any.
     """
@@ -68,7 +67,6 @@ class Uncertainty:
     studentized: Float[Array, "replicates p"] | None
     degrees_of_freedom: Float[Array, " p"]
     few_blocks: Bool[Array, " p"]
-    times_sandwich: Float[Array, " p"]
     method: str = dataclasses.field(metadata={"static": True})
     prior_share: Float[Array, " p"] | None = None
 
@@ -204,7 +202,6 @@ class Naive(AbstractIntervals):
             None,
             np.full(count, np.inf),
             np.zeros(count, bool),
-            np.ones(count),
             "least squares as if all windows were independent (far too narrow)",
         )
 
@@ -248,7 +245,6 @@ def with_few_blocks(
     small = few_blocks_sandwich(statistics)
     few = ~(small.degrees_of_freedom >= ENOUGH_FREEDOM) | (xp.sum(statistics.used) <= FEW)
     variance, other = xp.diagonal(covariance), xp.diagonal(small.covariance)
-    times = xp.ones_like(variance)
     if studentized is not None:
         sizes = xp.abs(studentized)
         some = xp.any(xp.isfinite(sizes), axis=0)
@@ -267,7 +263,6 @@ def with_few_blocks(
         studentized,
         xp.where(few, small.degrees_of_freedom, effective_freedom(statistics)),
         few,
-        times,
         method,
     )
 
