@@ -94,6 +94,8 @@ def judged_values(case: Case, assessment: rx.Assessment, advised: rx.Assessment)
     for name, one in assessment.verdict.parameters.items():
         truth = case.truth[name]
         low, high = assessment.answer.interval(name)
+        # Where it may differ between recordings, the mean of them.
+        every = [float(advised.answer[n]) for n in advised.answer.table.everywhere((name,))]
         found.append(
             Judged(
                 case.kind,
@@ -105,7 +107,7 @@ def judged_values(case: Case, assessment: rx.Assessment, advised: rx.Assessment)
                 bool(low <= truth <= high),
                 bool(one.doubt[0] <= truth <= one.doubt[1]),
                 one.share,
-                float(advised.answer[name]) / after[name] - 1,
+                float(np.mean(every)) / after[name] - 1,
                 len(advised.followed),
             )
         )
