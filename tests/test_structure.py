@@ -17,13 +17,13 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 49_330,
+    "src lines": 49_310,
     "src modules": 209,
     "src statements": 23_675,
-    "src literals": 1_440,
+    "src literals": 1_430,
     "lines of commands and settings": 2_300,
-    "tests lines": 27_515,
-    "benchmarks lines": 9_370,
+    "tests lines": 27_535,
+    "benchmarks lines": 9_365,
     "README lines": 150,
 }
 LEAST_PROSE = 17

@@ -31,7 +31,7 @@ SEED = 1
 DECIDING = {
     "riecjax.assessment.demands": ("SPOILT", "ENOUGH", "NOISE_ALONE", "NOTHING_EXPLAINED"),
     "riecjax.doubts.causes": (
-        *("LEVEL", "UNEXPLAINED", "OF_NOISE", "PART", "LOST", "CLEARER", "FEWEST", "MOST"),
+        *("LEVEL", "UNEXPLAINED", "OF_NOISE", "LOST", "CLEARER", "FEWEST", "MOST"),
         *("OWN", "OWN_NOISE"),
     ),
     "riecjax.doubts.columns": ("SLIGHT", "APART", "LONGEST_SHARE", "REACH", "GAIN", "JUMPS"),
@@ -41,7 +41,7 @@ DECIDING = {
         *("MOST_NOISE", "MOVING", "ALIKE", "ROUGHLY", "ROUGH", "MOST", "GROSS", "GAIN", "OFFSET"),
         *("UNRELATED", "CLEAR", "CALIBRATED"),
     ),
-    "riecjax.doubts.modes": ("FREQUENCIES", "PASSES", "CLOSER", "AT_END", "MOST_DAMPED"),
+    "riecjax.doubts.modes": ("FREQUENCIES", "PASSES", "CLOSER", "AT_END"),
     "riecjax.doubts.sampled_inputs": ("LEFT", "RESTS"),
     "riecjax.estimation.constant_target": (
         *("CONSTANT", "STILL", "EXPLAINED", "DISAGREEING", "SLIGHT"),

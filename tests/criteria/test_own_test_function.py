@@ -7,6 +7,7 @@ import pytest
 import scipy.integrate
 
 import riecjax as rx
+from compiling import functions_compiled
 from nightly import nightly
 from riecjax.criteria.suited import criterion_for
 from riecjax.criteria.test_functions import TEST_FUNCTIONS
@@ -107,16 +108,10 @@ def test_it_identifies_from_positions(windows):
 def test_a_weight_is_compiled_for_few_lengths():
     equation, record = oscillator()
     criterion = rx.RIEC(rx.AllWindows(0.2, 0.8), Cosine())
-    compiled = []
-
-    def listen(event: str, duration_secs: float, **about: str | int) -> None:
-        if event.endswith("backend_compile_duration"):
-            compiled.append(about.get("fun_name"))
-
     jax.clear_caches()
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    rx.identify(equation, record, criterion, intervals=rx.Naive())
-    jax.monitoring.unregister_event_duration_listener(listen)
+    compiled = functions_compiled(
+        lambda: rx.identify(equation, record, criterion, intervals=rx.Naive())
+    )
     # Of 32 lengths: once for each power of two of samples, and each operation.
     assert 0 < len(compiled) < 3 * 32
 

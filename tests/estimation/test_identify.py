@@ -9,6 +9,7 @@ import scipy.interpolate
 from tests.machines import MACHINES, Shape
 
 import riecjax as rx
+from compiling import functions_compiled
 from nightly import nightly
 from riecjax.models.quarter_car.identification import quarter_car_by_body, quarter_car_by_wheel
 from riecjax.models.quarter_car.reconstruction import quarter_car_source
@@ -228,11 +229,7 @@ def fresh_problem(seed, alpha, beta, coefficient, known):
 
 
 def test_nothing_compiles_anew_for_new_numbers_in_problems_of_one_shape():
-    compiled, jitted = [], eqx.filter_jit(fit)
-
-    def listen(event, *_, **__):
-        if event == "/jax/core/compile/backend_compile_duration":
-            compiled.append(event)
+    jitted = eqx.filter_jit(fit)
 
     def run(seed, alpha, beta, coefficient, known):
         equation, record, criterion, key = fresh_problem(seed, alpha, beta, coefficient, known)
@@ -240,17 +237,11 @@ def test_nothing_compiles_anew_for_new_numbers_in_problems_of_one_shape():
         traced = jitted(equation, record, criterion, key=key).theta
         np.testing.assert_allclose(traced, again, rtol=1e-9)
 
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    try:
-        run(0, 0.1, 0.5, 1.0, 2.0)
-        assert compiled  # the listener hears compilations
-        compiled.clear()
-        run(1, 0.2, 0.45, 1.5, 2.1)
-        # 0-dimensional arrays in place of numbers.
-        run(2, np.array(0.15), np.array(0.48), np.array(1.2), np.array(1.9))
-    finally:
-        jax.monitoring.unregister_event_duration_listener(listen)
-    assert not compiled
+    assert functions_compiled(lambda: run(0, 0.1, 0.5, 1.0, 2.0))
+    assert not functions_compiled(lambda: run(1, 0.2, 0.45, 1.5, 2.1))
+    # 0-dimensional arrays in place of numbers.
+    arrays = map(np.array, (0.15, 0.48, 1.2, 1.9))
+    assert not functions_compiled(lambda: run(2, *arrays))
 
 
 # Errors.

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
+from compiling import functions_compiled
 from nightly import by_day, nightly
 from riecjax.summaries import one_pass
 from riecjax.summaries.one_pass import recording_sums
@@ -80,20 +81,6 @@ def test_blocks_of_a_long_recording_pair_up():
     found = rx.summarise(EQUATION, record, criterion).recordings[0]
     assert 512 < int(found.blocks) <= 1024
     assert difference(record, criterion) <= 1e-10
-
-
-def functions_compiled(work):
-    """Names of what is compiled by some work, of the names that compiling shows."""
-    names = []
-
-    def listen(event: str, duration_secs: float, **about: str | int) -> None:
-        if event.endswith("backend_compile_duration"):
-            names.append(str(about.get("fun_name")))
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    work()
-    jax.monitoring.unregister_event_duration_listener(listen)
-    return names
 
 
 def test_recordings_of_any_lengths_compile_nothing():

@@ -162,20 +162,16 @@ def proposals(evidence: Evidence) -> Iterator[tuple[Finding, Step]]:
     those that concern parameters that are not good and are no part of a doubt."""
     by_name = doubts(evidence)
     by_importance = sorted(evidence.findings(), key=lambda finding: finding.importance)
-    poor = {name for name, doubt in by_name.items() if not doubt.is_good}
-    for finding in by_importance:
-        if finding.about.rules_out:
-            poor |= evidence.parameters_of(finding)
+    ruling = (finding for finding in by_importance if finding.about.rules_out)
+    poor = {name for finding in ruling for name in evidence.parameters_of(finding)}
+    poor |= {name for name, doubt in by_name.items() if not doubt.is_good}
     systematic = {name for name, doubt in by_name.items() if doubt.wrong > doubt.scatter}
     for finding in by_importance:
+        states = bool(finding.doubt or finding.doubts)
         concerned = evidence.parameters_of(finding) & by_name.keys()
-        if finding.doubt or finding.doubts:
-            matters = any(finding in by_name[n].largest for n in concerned & (poor | systematic))
-        else:
-            matters = bool(concerned & poor)
-        if matters:
-            of_finding = steps_of(finding, by_importance)
-            yield from ((finding, step) for step in of_finding if step.options)
+        concerned &= poor | systematic if states else poor
+        if any(finding in by_name[name].largest or not states for name in concerned):
+            yield from ((finding, s) for s in steps_of(finding, by_importance) if s.options)
 
 
 def steps_of(finding: Finding, among: Sequence[Finding]) -> Iterator[Step]:

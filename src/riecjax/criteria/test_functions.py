@@ -617,8 +617,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         if xp.are_traced(tau, length):
             return every(tau)
         # A function of JAX's is compiled for each size: for few of them.
-        filled = np.zeros(2 ** math.ceil(math.log2(max(tau.size, 1))))
-        filled[: tau.size] = tau
+        filled = np.pad(tau, (0, 2 ** math.ceil(math.log2(tau.size)) - tau.size))
         return [of[: tau.size] for of in xp.in_double(every, filled)]
 
 

@@ -28,8 +28,6 @@ UNEXPLAINED = 0.1
 """Share of the energy left beyond noise that a cause leaves at most."""
 OF_NOISE = 0.07
 """The same as a share of what noise leaves: no closer is known how much that is."""
-PART = 0.5
-"""Share of what is left that the best of several causes gains by itself at the least."""
 LOST = 0.03
 """Energy left, as a share, from which a delay may be too large to be found from where it is."""
 CLEARER = 4.0
@@ -127,7 +125,8 @@ class Causes:
         be too large for its column."""
         sure = filter(self.is_sure, self.offered)
         most = max((self.beside([])[doubt].gained for doubt in sure), default=0.0)
-        enough = PART * max(self.before, OF_NOISE * self.noise)
+        # Of several causes the best gains half by itself.
+        enough = max(self.before, OF_NOISE * self.noise) / 2
         return most > enough or self.before > LOST * self.folds.energy
 
     def nearest(self, most: int) -> list[Doubt]:

@@ -347,8 +347,8 @@ def why_not_weighed(model: Model, records: Sequence[Record], estimate: Estimate)
         return "beside parameters of each recording"
     if estimate.criterion.all_windows is None or estimate.summary is None:
         return "from windows drawn at random"
-    few = int(estimate.block_count) < FEWEST or longest_delay(records) <= 2
-    return "from so short a record" if few else ""
+    told = int(estimate.block_count) >= FEWEST and longest_delay(records) > 2
+    return "" if told else "from so short a record"
 
 
 @np.errstate(all="ignore")

@@ -34,8 +34,6 @@ CLOSER = 6
 """Times that the steps between shapes are halved."""
 AT_END = 1.1
 """Ratio to an end of the band, within which a frequency lies beyond it."""
-MOST_DAMPED = 1.0
-"""Damping ratio of what still rings."""
 
 
 class Mode(NamedTuple):
@@ -137,7 +135,7 @@ def _on_body(
         near = np.exp(around * closer * apart[:, None])
         hertz, damping = np.array([[best.shape.hertz], [best.shape.damping]]) * near
         hertz = np.clip(hertz, slowest, fastest)
-        found = best_of(hertz, np.minimum(damping, MOST_DAMPED))
+        found = best_of(hertz, np.minimum(damping, 1.0))  # what rings is no more than critical
         best = max(best, found or best, key=lambda mode: mode.gained)
     # At an end of the band it is something slower or faster.
     inside = best is not None and AT_END * slowest < best.shape.hertz < fastest / AT_END
