@@ -155,8 +155,8 @@ class Plain(AbstractIntervals):
             covariance = jackknife_covariance(statistics)
             replicates = BlockBootstrap().uncertainty(statistics).studentized
         freedom = effective_freedom(statistics)
-        nowhere, once = jnp.zeros(freedom.shape, bool), jnp.ones(freedom.shape)
-        return Uncertainty(covariance, replicates, freedom, nowhere, once, "plain")
+        nowhere = jnp.zeros(freedom.shape, bool)
+        return Uncertainty(covariance, replicates, freedom, nowhere, "plain")
 
 
 INTERVALS = {
