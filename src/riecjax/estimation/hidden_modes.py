@@ -151,7 +151,7 @@ class ModeStage(NamedTuple):
         both, apart = unit[:, None] + unit, unit[:, None] - unit
         once, twice = np.stack([unit, -unit]), np.stack([both, apart, -apart, -both])
         offsets = [each.reshape(-1, count) for each in (np.zeros_like(unit[:1]), once, twice)]
-        around = self.mixes(at + np.concatenate(offsets))
+        around = self.mixes(at[None] + np.concatenate(offsets))
         theta = self.fitted([table[0] for table in around]).theta
         theta = xp.concatenate([xp.ones_like(theta[:1]), -theta])
         none: Any = 0.0
