@@ -12,6 +12,8 @@ def functions_compiled(work):
             names.append(str(about.get("fun_name")))
 
     jax.monitoring.register_event_duration_secs_listener(listen)
-    work()
-    jax.monitoring.unregister_event_duration_listener(listen)
+    try:
+        work()
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
     return names

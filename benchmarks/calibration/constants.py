@@ -36,7 +36,7 @@ DECIDING = {
     ),
     "riecjax.doubts.columns": ("SLIGHT", "APART", "LONGEST_SHARE", "REACH", "GAIN", "JUMPS"),
     "riecjax.doubts.delays": ("SMALLEST", "TURN", "PERHAPS", "CERTAIN", "SLIGHT", "FARTHEST"),
-    "riecjax.doubts.equation_faults": (*("HALF", "MOVES", "NOTABLE", "NEAR"),),
+    "riecjax.doubts.equation_faults": ("HALF", "MOVES", "NOTABLE", "NEAR"),
     "riecjax.doubts.kinematics": (
         *("MOST_NOISE", "MOVING", "ALIKE", "ROUGHLY", "ROUGH", "MOST", "GROSS", "GAIN", "OFFSET"),
         *("UNRELATED", "CLEAR", "CALIBRATED"),
