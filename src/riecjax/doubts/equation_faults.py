@@ -125,9 +125,6 @@ class Weighing:
             none = copy.copy(rough)
             none.offered = []
             return cls(asked, records, rough, none, (), is_exact)
-        resting = asked.resting_on_earlier
-        near = [doubt for doubt in rough.nearest(NEAR) if doubt.equation not in resting]
-        folds = folds_of(asked, records, near)
         delays = {doubt.signals: [doubt] for doubt in rough.of("delay")}
         changing = {
             one.signals
@@ -135,8 +132,7 @@ class Weighing:
             for beside in ([], delays.get(one.signals, []))
             if rough.is_sure(one, beside) and rough.left([*beside, one]) < HALF * rough.left(beside)
         }
-        causes = Causes(folds, near, sizes, rough.trials)
-        return cls(asked, records, rough, causes, changing, is_exact)
+        return cls(asked, records, rough, _likely(asked, records, rough), changing, is_exact)
 
     def found(self) -> list[Cause]:
         """What the data demand; nothing where nothing explains what is left."""
@@ -171,12 +167,12 @@ class Weighing:
                 return told
             # What drifts has a zero as well.
             is_zero = self.rough.is_zero_of
-            zeros = [one for one in self.rough.of("zero") if is_zero(one, drifting)]
+            zeros = [d for d in causes.every if d.kind == "zero" and is_zero(d, drifting)]
             beyond = self._part(None, [*chosen, *zeros])
             return told if beyond is None else [*told, beyond]
-        mode, rough = self._mode() if is_notable else None, None
-        if mode is not None and causes.is_little(mode.left**2 * causes.folds.energy):
-            rough = mode
+        mode = self._mode() if is_notable else None
+        explains = mode is not None and causes.is_little(mode.left**2 * causes.folds.energy)
+        rough = mode if explains else None
         # A rough shape is no cause where a delay explains more.
         best = min(delays, key=lambda delay: causes.left([delay]), default=None)
         if rough and best and causes.rms(causes.left([best])) < rough.left:
@@ -189,10 +185,7 @@ class Weighing:
         fair, every = self.causes, [*beside]
         if self.rough.admitted(beside) != every:
             # What rough columns make sure of may be the noise that they share with regressors.
-            if not fair.offered:
-                near = self.rough.nearest(NEAR)
-                folds = folds_of(self.asked, self.records, near)
-                fair = Causes(folds, near, self.rough.plausible, self.rough.trials)
+            fair = fair if fair.offered else _likely(self.asked, self.records, self.rough)
             every = fair.admitted(beside)
         chosen = every[len(beside) :]
         some = (fair.names(every[:count]) for count in range(len(beside), len(every) + 1))
@@ -331,6 +324,13 @@ class Weighing:
             if name in self.asked.values and name not in found and value and column in after:
                 found[name] = after[column] / value - 1
         return found
+
+
+def _likely(asked: Asked, records: Sequence[Record], rough: Causes) -> Causes:
+    """The doubts that may be a cause, by products that noise is taken off."""
+    resting = asked.resting_on_earlier
+    near = [doubt for doubt in rough.nearest(NEAR) if doubt.equation not in resting]
+    return Causes(folds_of(asked, records, near), near, rough.plausible, rough.trials)
 
 
 def _farthest(moves: Sequence[Mapping[str, float]]) -> dict[str, float]:
