@@ -457,8 +457,8 @@ PROBLEMS = {
     "hysteresis": _problem(
         mass(_SPRING),
         "viscous dahl",
-        rx.staged(mass(_SPRING, _VISCOUS, rx.Term("loop", "z"))).with_memories(
-            rx.equations.Dahl("z", "dx", STROKE)
+        rx.staged(mass(_SPRING, _VISCOUS, rx.Term("loop", "z"))).with_elements(
+            rx.elements.Dahl("z", "dx", STROKE)
         ),
         _smooth(_dahl, 3, EIGHT_TONES, 20.0, 0.02),
         m=1.5, c=0.8, k=20.0, loop=4.0,
@@ -503,8 +503,8 @@ BODY = rx.Equation(
     name="body",
     unit="N",
 )
-MODE_MODEL = rx.staged(BODY).with_modes(rx.HiddenMode("v"))
-LAG_MODEL = rx.staged(BODY).with_series_springs(rx.SeriesSpring("c"))
+MODE_MODEL = rx.staged(BODY).with_elements(rx.HiddenMode("v"))
+LAG_MODEL = rx.staged(BODY).with_elements(rx.SeriesSpring("c"))
 
 
 def body_matrix(

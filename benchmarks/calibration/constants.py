@@ -41,7 +41,8 @@ DECIDING = {
         *("MOST_NOISE", "MOVING", "ALIKE", "ROUGHLY", "ROUGH", "MOST", "GROSS", "GAIN", "OFFSET"),
         *("UNRELATED", "CLEAR", "CALIBRATED"),
     ),
-    "riecjax.doubts.modes": ("FREQUENCIES", "PASSES", "CLOSER", "AT_END"),
+    "riecjax.doubts.lacked_elements": ("PASSES", "CLOSER", "AT_END"),
+    "riecjax.equations.element": ("ROUGH",),
     "riecjax.doubts.sampled_inputs": ("LEFT", "RESTS"),
     "riecjax.estimation.constant_target": (
         *("CONSTANT", "STILL", "EXPLAINED", "DISAGREEING", "SLIGHT"),

@@ -25,7 +25,8 @@ from tests.machines import BODY, noisy
 import riecjax as rx
 from benchmarks.calibration.noise_problems import car_motion
 from benchmarks.recorded import FOLDER, write_json
-from riecjax.estimation.evidence import ModeEvidence, mode_evidence
+from riecjax.elements import ModeEvidence
+from riecjax.estimation import element_evidence
 from riecjax.models.quarter_car.reconstruction import quarter_car_source
 from riecjax.paper.published import TABLE_6
 from riecjax.studies import over_keys
@@ -48,7 +49,7 @@ ASKED = {
 
 def mounts(seeds: int) -> dict[str, Any]:
     """Median errors and coverage of each mount at each noise."""
-    model = rx.find_model("quarter-car").with_modes(rx.HiddenMode("x4"))
+    model = rx.find_model("quarter-car").with_elements(rx.HiddenMode("x4"))
     report = {}
     for name, mount in TABLE_6.items():
         roads, effective = mount_roads(mount.stiffness, mount.damping, seeds)
@@ -66,7 +67,7 @@ def mounts(seeds: int) -> dict[str, Any]:
                 covered.append((ends[:, 0] <= truth) & (truth <= ends[:, 1]))
                 low, high = ends[FOUND.index("K_mode")]
                 moved.append(low <= effective[seed] <= high)
-                carried.append(mode_evidence(model, estimate)[0].carried)
+                carried.append(element_evidence(model, estimate)[0].carried)
             median = 100 * np.median(np.abs(errors), axis=0)
             of[f"{100 * noise:g} %"] = {
                 "median_error_percent": _named(median, 3),
@@ -178,14 +179,14 @@ def _evidence(
         estimate = rx.identify(model, rx.Record(measured, STEP))
     except rx.RiecjaxError:
         return None
-    return estimate, mode_evidence(model, estimate)[0]
+    return estimate, element_evidence(model, estimate)[0]
 
 
 def random(seeds: int) -> dict[str, Any]:
     """Share of random hidden modes that are identified within 5 %."""
     report = {}
     for modes, count in ((1, seeds), (2, max(seeds // 4, 1))):
-        model = rx.staged(BODY).with_modes(*(rx.HiddenMode("v") for _ in range(modes)))
+        model = rx.staged(BODY).with_elements(*(rx.HiddenMode("v") for _ in range(modes)))
         for noise in (0.0, 0.01):
             worst, carried = np.full(count, np.inf), np.zeros(count)
             for seed in range(count):
@@ -230,7 +231,7 @@ def _cubic(x: float, v: float, mass: float) -> float:
 
 def right(seeds: int) -> dict[str, Any]:
     """How often a mode is said to be carried where there is none."""
-    model = rx.staged(BODY).with_modes(rx.HiddenMode("v"))
+    model = rx.staged(BODY).with_elements(rx.HiddenMode("v"))
     report = {}
     for label, extra, count in (
         ("right model", None, seeds),

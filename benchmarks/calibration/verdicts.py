@@ -89,7 +89,7 @@ def judged(case: Case) -> list[Judged] | None:
 def judged_values(case: Case, assessment: rx.Assessment, advised: rx.Assessment) -> list[Judged]:
     """Verdicts on a case's parameters, and what is found once it is `advised`."""
     found, after = [], case.truth
-    if advised.model.modes:
+    if any(isinstance(element, rx.HiddenMode) for element in advised.model.elements):
         after = {**case.truth, **case.beside_mode}
     for name, one in assessment.verdict.parameters.items():
         truth = case.truth[name]

@@ -60,7 +60,7 @@ RATES = {"x1": tyre_velocity, "x2": suspension_velocity}
 def car(points: tuple[float, ...], tyre: rx.Equation) -> rx.Model:
     """The quarter car with its mode, and a spring in series with a damper of this map."""
     made = rx.staged(tyre, mass_equation(), body_equation(points)).with_rates(RATES)
-    return made.with_modes(rx.HiddenMode("x4")).with_series_springs(rx.SeriesSpring("F_1"))
+    return made.with_elements(rx.HiddenMode("x4")).with_elements(rx.SeriesSpring("F_1"))
 
 
 def lifting(lift: float) -> rx.Equation:
@@ -72,13 +72,13 @@ def lifting(lift: float) -> rx.Equation:
 def wheel_alone() -> ByFunction:
     """Wheel and damper between the recorded tyre force and the recorded body."""
     model = rx.staged(wheel_equation(POINTS)).with_rates({"x2": suspension_velocity})
-    model = model.with_series_springs(rx.SeriesSpring("F_1"))
+    model = model.with_elements(rx.SeriesSpring("F_1"))
     return ByFunction(lambda values: rx.equation_system(model, values))
 
 
 WHEEL = wheel_alone()
 REDUCED = rx.find_model("quarter-car")
-WITH_MODE = REDUCED.with_modes(rx.HiddenMode("x4"))
+WITH_MODE = REDUCED.with_elements(rx.HiddenMode("x4"))
 
 
 def models(

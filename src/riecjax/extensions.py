@@ -7,6 +7,8 @@ A distribution declares them as entry points:
   [`Channels`][riecjax.records.reading.Channels]. It may have keywords `delimiter`, `decimal` and
   `columns`, what users say of a table as text.
 - `riecjax.commands`: name of a command; a `click.Command`.
+- `riecjax.elements`: what `--add KIND:SIGNAL` calls it; a class derived from
+  [`Element`][riecjax.Element].
 
 What the core has itself is never looked for here, so that nothing can take its place. Of two
 extensions with one name this distribution's own wins; where neither is its own, both are refused.
@@ -23,7 +25,7 @@ from riecjax.errors import DataError, RiecjaxError, reason_of
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-Kind = Literal["readers", "commands"]
+Kind = Literal["readers", "commands", "elements"]
 
 NEEDS = {
     "frame": ("a data frame needs", ("pandas",), "frames"),

@@ -165,6 +165,7 @@ CODES: dict[str, FindingClass] = {
     ),
     "undetermined": _undetermined("the recordings say nothing of {parameters}", rules_out=True),
     "mode_not_carried": _undetermined("the recordings carry no such mode", rules_out=True),
+    "element_not_carried": _undetermined("the recordings carry no such element", rules_out=True),
     "series_spring_not_carried": _undetermined(
         "the recordings do not tell {parameters} from infinity", rules_out=True
     ),

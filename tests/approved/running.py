@@ -96,7 +96,7 @@ def without_pictures(patch: pytest.MonkeyPatch) -> None:
     """Pictures and the page are no part of what is approved, and take longer than all else."""
     from matplotlib.figure import Figure
 
-    patch.setattr("riecjax.reporting.charts.printed.printed", lambda _: Figure(figsize=(0.1, 0.1)))
+    patch.setattr("riecjax.reporting.printed.printed", lambda _: Figure(figsize=(0.1, 0.1)))
 
 
 def _moments(case: Moments) -> dict[str, Any]:

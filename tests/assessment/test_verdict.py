@@ -138,8 +138,8 @@ def test_a_parameter_is_what_the_model_says_whatever_it_is_called(tmp_path):
         rx.identify(ORDINARY, still, RIEC)
     # Beside a hidden element, its name is taken.
     for taken in (
-        rx.staged(ORDINARY).with_modes(rx.HiddenMode("v")),
-        rx.staged(ORDINARY).with_series_springs(rx.SeriesSpring("x@3")),
+        rx.staged(ORDINARY).with_elements(rx.HiddenMode("v")),
+        rx.staged(ORDINARY).with_elements(rx.SeriesSpring("x@3")),
     ):
         with pytest.raises(rx.ModelError, match="Rename"):
             rx.identify(taken, record)

@@ -114,7 +114,7 @@ def test_hysteresis_that_cannot_be_offered_is_called_no_mode():
     assert found.leaves_more
     assert found.mode is None
     assert [warning["code"] for warning in discovery_document(found)["warnings"]] == ["not_offered"]
-    moded = rx.identify(nameless.with_modes(rx.HiddenMode("x")), record, intervals=rx.Naive())
+    moded = rx.identify(nameless.with_elements(rx.HiddenMode("x")), record, intervals=rx.Naive())
     left = (float(one.equations["mass"].model_rms) for one in (moded, found.estimate))
     assert next(left) < 0.3 * next(left)
 

@@ -110,7 +110,7 @@ SPRUNG = equation(
 )
 def test_units_tell_what_is_no_damper_and_derivatives_where_there_are_none(model, of, why):
     with pytest.raises(rx.ModelError, match=why):
-        model.with_series_springs(rx.SeriesSpring(of))
+        model.with_elements(rx.SeriesSpring(of))
 
 
 def test_dampers_are_taken_however_they_are_written():
@@ -121,4 +121,4 @@ def test_dampers_are_taken_however_they_are_written():
     ]
     for damper in taken:
         body = equation(rx.Term("m", "v", derivative=1), damper)
-        assert body.with_series_springs(rx.SeriesSpring("c")).parameter_names[-1] == "K_series"
+        assert body.with_elements(rx.SeriesSpring("c")).parameter_names[-1] == "K_series"

@@ -10,9 +10,9 @@ from tests.machines import body_with_mode as motion
 
 import riecjax as rx
 from nightly import nightly
+from riecjax.equations.element import Shape
+from riecjax.equations.element_motion import filtered
 from riecjax.equations.expressions import evaluate
-from riecjax.equations.hidden_elements import Shape
-from riecjax.equations.hidden_motion import filtered
 from riecjax.records.signal import Signal
 from riecjax.validation import equation_error
 
@@ -25,7 +25,7 @@ def smooth(t: np.ndarray) -> np.ndarray:
 
 def test_a_mass_moves_as_scipy_says():
     p, q = 6 / 21000, 120 / 21000
-    shape = Shape.of_mode(jnp.asarray(p), jnp.asarray(q))
+    shape = Shape.filtering(jnp.asarray(q), jnp.asarray(p), numerator=[jnp.asarray(q)])
     passed = filtered(Signal(smooth(TIMES)), jnp.asarray(STANDARD.step), shape)
     found, known = passed.values, passed.present
     # Twenty steps to a sample, so that lines between them are as good as the curve.
@@ -45,7 +45,8 @@ def test_samples_after_a_gap_wait_until_it_is_forgotten():
     missing[1000:1010] = True
     samples = np.where(missing, np.nan, smooth(TIMES))
     record = rx.Record.from_samples({"v": samples}, time_step=STANDARD.step)
-    shape = Shape.of_mode(jnp.asarray(6 / 21000), jnp.asarray(120 / 21000))
+    p, q = jnp.asarray(6 / 21000), jnp.asarray(120 / 21000)
+    shape = Shape.filtering(q, p, numerator=[q])
     known = filtered(evaluate("v", record), record.time_step, shape).present
     # 1 % is left after ln(100) 2 p / q = 0.46 s.
     waited = int(np.log(100) * 2 * 6 / 120 / STANDARD.step)
@@ -59,7 +60,7 @@ def test_samples_after_a_gap_wait_until_it_is_forgotten():
 def test_the_true_mode_closes_the_equation(sign):
     record = rx.Record(motion(True), STANDARD.step)
     equation = rx.Equation(*(-t if sign < 0 else t for t in BODY.terms), name="body")
-    model = rx.staged(equation).with_modes(rx.HiddenMode("v"))
+    model = rx.staged(equation).with_elements(rx.HiddenMode("v"))
     values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
     (left,) = equation_error(model, record, values)
     (without,) = equation_error(equation, record, values)
@@ -73,7 +74,7 @@ def test_a_position_s_derivatives_move_along():
         *BODY.terms[1:],
         name="body",
     )
-    model = rx.staged(position).with_modes(rx.HiddenMode("x"))
+    model = rx.staged(position).with_elements(rx.HiddenMode("x"))
     values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
     (left,) = equation_error(model, rx.Record(moved, STANDARD.step), values)
     assert left.span == 1

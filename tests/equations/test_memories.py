@@ -7,7 +7,7 @@ import scipy.integrate
 from tests.machines import PROBLEMS
 
 import riecjax as rx
-from riecjax.equations.memories import BoucWen, Dahl, Elapsed, with_memories
+from riecjax.elements.hysteresis import BoucWen, Dahl, Elapsed
 from riecjax.records.record import Signals
 
 TIMES = np.arange(2001) / 100
@@ -39,11 +39,11 @@ def test_the_course_is_that_of_the_differential_equation(law, width):
 
 def test_recordings_are_given_states_that_they_lack_and_keep_those_they_have():
     record = rx.Record.from_samples({"v": velocity(TIMES)}, time_step=0.01)
-    made = with_memories(record, [Dahl("z", "v", 0.1)])
+    made = Dahl("z", "v", 0.1).with_states(record)
     assert set(made.arrays) == {"v", "z"}
     assert made.noise.kernels["z"] == {}
     own = rx.Record.from_samples({"v": velocity(TIMES), "z": 0 * TIMES}, time_step=0.01)
-    assert np.all(np.asarray(with_memories(own, [Dahl("z", "v", 0.1)])["z"]) == 0)
+    assert np.all(np.asarray(Dahl("z", "v", 0.1).with_states(own)["z"]) == 0)
 
 
 def test_a_state_stays_where_its_velocity_is_missing():
@@ -68,7 +68,7 @@ def test_elapsed_time_is_a_state_of_recordings_and_of_simulations():
     assert memory.course(record) == pytest.approx(np.arange(301) * 0.01)
     falling = rx.staged(
         rx.Equation(rx.Term("m", "x", derivative=2), rx.Term("a", "age"), -rx.Term(1.0, "u"))
-    ).with_memories(memory)
+    ).with_elements(memory)
     system = rx.equation_system(falling, {"m": 2.0, "a": 0.5})
     run = rx.simulate(system, record).checked()
     t = np.arange(301) * 0.01

@@ -8,8 +8,8 @@ from tests.machines import DRAG_TRUTH, drag_record
 
 import riecjax as rx
 from riecjax.criteria.test_functions import GradedBump
+from riecjax.elements.dry_friction import InMotion
 from riecjax.equations.bases import AbstractBasis
-from riecjax.equations.dry_friction import InMotion
 from riecjax.equations.equation import mixing_expressions
 from riecjax.equations.term import from_elsewhere
 from riecjax.reporting.equations import equation_in_words
@@ -69,7 +69,7 @@ def test_its_columns_are_differentiated_for_a_hidden_mode(foreign):
     bump = rx.RIEC(rx.AllWindows(1.0, 2.0), GradedBump(p=9, lengths=1, derivatives=4), "")
     blocks = []
     for model in (OURS, foreign):
-        hidden = rx.staged(model).with_modes(rx.HiddenMode("x"))
+        hidden = rx.staged(model).with_elements(rx.HiddenMode("x"))
         blocks.append(rx.summarise(hidden, RECORD, bump, noise={}).recordings[0].stages[0][0])
     np.testing.assert_allclose(blocks[1].moments, blocks[0].moments, rtol=1e-9)
     assert "r2''" in blocks[1].parameters
@@ -154,6 +154,6 @@ def test_a_basis_that_mixes_samples_is_found_out():
 @pytest.mark.parametrize("foreign", FOREIGN)
 def test_springs_and_sensors_refuse_it(foreign):
     with pytest.raises(rx.ModelError, match="'r2' is a function of a kind that no spring's"):
-        rx.staged(foreign).with_series_springs(rx.SeriesSpring("r2"))
+        rx.staged(foreign).with_elements(rx.SeriesSpring("r2"))
     with pytest.raises(rx.ModelError, match="a function of 'dx'"):
-        rx.staged(foreign).with_sensor_errors(gains=["dx"])
+        rx.staged(foreign).with_elements(rx.elements.SensorGain("dx"))

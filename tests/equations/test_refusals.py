@@ -66,10 +66,10 @@ def said_twice(**fields: tuple[Any, Any]) -> Any:
             "a name stands twice in signals",
         ),
         (lambda: model(at_rest="no"), "'mask' or 'keep'; got 'no'"),
-        (lambda: model(modes=rx.HiddenMode(on="x")), "modes of a model is a HiddenMode"),
+        (lambda: model(elements=rx.HiddenMode(on="x")), "elements of a model is a HiddenMode"),
         (lambda: model().with_values({"M": 1.0}), "unknown parameter 'M'; there are: m"),
         (lambda: model().with_terms({"equation": rx.Term("d", "v")}), "'equation': .rx.Term"),
-        (lambda: model().with_sensor_errors("u"), "offsets is the text 'u'"),
+        (lambda: model().with_elements("u"), "an element is the text 'u'"),
     ],
 )
 def test_a_slip_is_named_where_it_is_made(make, says):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
+from riecjax.elements import SensorGain, SensorZero
 from riecjax.errors import ModelError
 
 M, C, K = 2.0, 3.0, 80.0
@@ -42,7 +43,7 @@ def estimate(model, x, force, **settings):
 def test_the_zero_of_a_load_cell():
     x, force = motion()
     load = rx.equations.Quantity("F", "N", "force")
-    model = rx.Model(stages=equation(), signals=(load,)).with_sensor_errors(offsets=["F"])
+    model = rx.Model(stages=equation(), signals=(load,)).with_elements(SensorZero("F"))
     assert model.units["offset_F"] == "N"
     # The recording's force is 7 N too high.
     found = estimate(model, x, force + 7.0)
@@ -57,7 +58,7 @@ def test_the_zero_of_a_load_cell():
 
 def test_the_zero_of_a_position_comes_times_its_stiffness():
     x, force = motion()
-    model = rx.staged(equation()).with_sensor_errors(offsets=["x"])
+    model = rx.staged(equation()).with_elements(SensorZero("x"))
     assert model.units["k_offset_x"] == "N"
     found = estimate(model, x + 0.5, force)
     assert found == pytest.approx({"m": M, "c": C, "k": K, "k_offset_x": 0.5 * K}, rel=2e-3)
@@ -65,7 +66,7 @@ def test_the_zero_of_a_position_comes_times_its_stiffness():
 
 def test_the_gain_of_a_load_cell_where_the_mass_is_known():
     x, force = motion()
-    model = rx.staged(equation()).with_sensor_errors(gains=["F"])
+    model = rx.staged(equation()).with_elements(SensorGain("F"))
     found = estimate(model, x, force / 1.25, known={"m": M})
     assert found == pytest.approx({"m": M, "c": C, "k": K, "gain_F": 1.25}, rel=2e-3)
 
@@ -77,16 +78,16 @@ DERIVED = rx.staged(rx.Equation(rx.Term("c", "v", derivative=1), -rx.Term(1.0, "
 
 
 @pytest.mark.parametrize(
-    ("model", "errors", "words"),
+    ("model", "error", "words"),
     [
-        (CONSTANT, {"offsets": ["F"]}, "told apart from 'friction'"),
-        (PLAIN, {"gains": ["x"]}, "told apart from 'm'"),
-        (CUBIC, {"offsets": ["x"]}, "k3 is a function of 'x'"),
-        (PLAIN, {"offsets": ["G"]}, "no equation has a term of 'G'"),
-        (DERIVED, {"offsets": ["v"]}, "no equation has a term of 'v'"),
-        (PLAIN, {"gains": ["G"]}, "no equation reads 'G'"),
+        (CONSTANT, SensorZero("F"), "told apart from 'friction'"),
+        (PLAIN, SensorGain("x"), "told apart from 'm'"),
+        (CUBIC, SensorZero("x"), "k3 is a function of 'x'"),
+        (PLAIN, SensorZero("G"), "no equation has a term of 'G'"),
+        (DERIVED, SensorZero("v"), "no equation has a term of 'v'"),
+        (PLAIN, SensorGain("G"), "no equation reads 'G'"),
     ],
 )
-def test_what_cannot_be_told_apart(model, errors, words):
+def test_what_cannot_be_told_apart(model, error, words):
     with pytest.raises(ModelError, match=words):
-        model.with_sensor_errors(**errors)
+        model.with_elements(error)

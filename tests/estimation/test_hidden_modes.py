@@ -16,11 +16,11 @@ import riecjax as rx
 from conftest import in_32_bit
 from nightly import nightly
 from riecjax.doubts.check import raise_if_not_carried
-from riecjax.estimation import mode_evidence
-from riecjax.estimation.hidden_modes import find_modes
+from riecjax.estimation import element_evidence
+from riecjax.estimation.projection import find_shapes
 
 FREQUENCY = np.sqrt(TRUTH["K_mode"] / TRUTH["M_mode"]) / (2 * np.pi)
-SPRUNG = MODEL.with_series_springs(rx.SeriesSpring("c"))
+SPRUNG = MODEL.with_elements(rx.SeriesSpring("c"))
 
 
 def recorded(signals: dict[str, np.ndarray], noise: float = 0.0, seed: int = 5) -> rx.Record:
@@ -43,8 +43,8 @@ def without_mode() -> rx.Record:
 
 
 def evidence_near(hz: float | None, record: rx.Record):
-    model = rx.staged(BODY).with_modes(rx.HiddenMode("v", hz))
-    return mode_evidence(model, rx.identify(model, record))[0]
+    model = rx.staged(BODY).with_elements(rx.HiddenMode("v", hz))
+    return element_evidence(model, rx.identify(model, record))[0]
 
 
 def test_a_hidden_mode_is_found(with_mode):
@@ -55,7 +55,7 @@ def test_a_hidden_mode_is_found(with_mode):
         low, high = estimate.interval(name)
         assert low <= value <= high
     assert dict(estimate.units)["K_mode"] == "N/m"
-    evidence = mode_evidence(MODEL, estimate)[0]
+    evidence = element_evidence(MODEL, estimate)[0]
     assert evidence.carried
     assert evidence.findings() == []
     # On a body at rest: sqrt(K / M) = 9.4 Hz, B / (2 sqrt(K M)) = 17 %.
@@ -82,7 +82,7 @@ def test_a_late_velocity_is_no_oscillator():
     late = motion(False)
     late["v"] = np.concatenate([late["v"][:1], late["v"][:-1]])
     estimate = rx.identify(MODEL, recorded(late))
-    evidence = mode_evidence(MODEL, estimate)[0]
+    evidence = element_evidence(MODEL, estimate)[0]
     assert not evidence.carried
     assert "delay" in evidence.findings()[0].message
 
@@ -122,7 +122,7 @@ def test_modes_have_the_names_of_the_frequencies_asked_for():
         a[x + 1, :2] = force / mass
         a[x + 1, x : x + 2] = -force / mass
     both = rx.HiddenMode("v", 20), rx.HiddenMode("v", 8)
-    found = rx.identify(rx.staged(BODY).with_modes(*both), recorded(driven(a), 0.003))
+    found = rx.identify(rx.staged(BODY).with_elements(*both), recorded(driven(a), 0.003))
     assert float(found["M_mode"]) == pytest.approx(1.5, rel=0.02)
     assert float(found["M_mode_2"]) == pytest.approx(6.0, rel=0.02)
 
@@ -156,9 +156,9 @@ def test_a_mode_that_is_not_there_is_to_be_left_out(without_mode):
 @pytest.mark.parametrize("mode", [False, True])
 def test_as_many_modes_as_there_are(mode):
     model, record, carried = rx.staged(BODY), recorded(motion(mode)), [True]
-    while carried[-1] and len(model.modes) < 2:
-        model = model.with_modes(rx.HiddenMode("v"))
-        carried.append(mode_evidence(model, rx.identify(model, record))[-1].carried)
+    while carried[-1] and len(model.elements) < 2:
+        model = model.with_elements(rx.HiddenMode("v"))
+        carried.append(element_evidence(model, rx.identify(model, record))[-1].carried)
     assert carried[1:] == [True, False][not mode :]
 
 
@@ -195,7 +195,7 @@ def test_in_32_bit_modes_are_found_to_a_percent():
 
 def test_what_cannot_be_asked(with_mode):
     with pytest.raises(rx.ModelError, match="no equation has one"):
-        rx.staged(BODY).with_modes(rx.HiddenMode("F"))
+        rx.staged(BODY).with_elements(rx.HiddenMode("F"))
     with pytest.raises(rx.ModelError, match="positive number of hertz"):
         rx.HiddenMode("v", hz=-1.0)
     with pytest.raises(rx.ModelError, match="all of M_mode, K_mode, B_mode are known or none"):
@@ -204,7 +204,7 @@ def test_what_cannot_be_asked(with_mode):
         rx.identify(MODEL, with_mode, rx.RIEC(rx.AllWindows(0.05, 0.5)))
     with pytest.raises(rx.ModelError, match="per_record"):
         rx.identify(MODEL, [with_mode, with_mode], per_record=["c"])
-    model = rx.staged(BODY).with_modes(rx.HiddenMode("v", 500.0))
+    model = rx.staged(BODY).with_elements(rx.HiddenMode("v", 500.0))
     with pytest.raises(rx.ModelError, match="no mode near 500 Hz can be seen at 200 samples"):
         rx.identify(model, with_mode)
     still = recorded(motion(True) | {"v": np.zeros(6000)})
@@ -218,7 +218,7 @@ def test_the_choice_of_window_lengths_is_part_of_the_variance(with_mode, model):
     """Of the two lengths that tell most, each by itself."""
     found = rx.identify(model, with_mode, intervals=rx.Sandwich())
     assert found.summary is not None
-    modes = [find_modes(model, found.summary, {}, rank=rank) for rank in (0, 1)]
+    modes = [find_shapes(model, found.summary, {}, rank=rank) for rank in (0, 1)]
     alone = [dataclasses.replace(found.summary, band=of.bands[0]) for of in modes]
     first, second = (rx.estimate(model, one, intervals=rx.Sandwich()) for one in alone)
     assert modes[0].bands != modes[1].bands

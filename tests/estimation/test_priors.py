@@ -289,6 +289,6 @@ def test_what_a_linear_estimate_cannot_take_is_refused():
     with pytest.raises(rx.ModelError, match="a prior is given for 'k'; free are: m, c, d"):
         rx.identify(BODY, record(), RIEC, known={"k": 30.0}, priors={"k": (30.0, 1.0)})
     body = rx.Equation(rx.Term("m", "v", derivative=1), -rx.Term(1.0, "F"))
-    hidden = as_model(body).with_modes(rx.HiddenMode("v"))
+    hidden = as_model(body).with_elements(rx.HiddenMode("v"))
     with pytest.raises(rx.ModelError, match="M_mode, of a hidden element: only a refinement"):
         rx.identify(hidden, record(), priors={"M_mode": (1.0, 0.1)})

@@ -6,7 +6,7 @@ import pytest
 from tests.machines import JOINT, JOINT_TRUTH, Shape, joint, joint_record
 
 import riecjax as rx
-from riecjax.equations.dry_friction import in_motion
+from riecjax.elements.dry_friction import DryFrictionAtRest
 
 SEED = 1
 
@@ -48,7 +48,7 @@ def test_nothing_is_said_or_done_elsewhere(clean, equation):
         signals = {"q": 1 - np.cos(5 * t), "dq": 5 * np.sin(5 * t), "tau": 20 * np.cos(5 * t)}
         record, friction = rx.Record.from_samples(signals, time_step=0.002), rx.Term("Fc", _sign)
     model = rx.staged(rx.Equation(rx.Term("J", "dq", derivative=1), friction, -rx.Term(1.0, "tau")))
-    assert in_motion(model, record) is model
+    assert DryFrictionAtRest().trusted(model, record) is model
     rx.identify(model, record, intervals=rx.Naive())
 
 
@@ -64,6 +64,6 @@ def test_an_equation_with_the_derivative_of_another_motion_stays_and_says_so(cle
         -rx.Term(1.0, "tau"),
     )
     staged = rx.staged(model)
-    assert in_motion(staged, clean) is staged
+    assert DryFrictionAtRest().trusted(staged, clean) is staged
     (one,) = said(rx.identify(model, clean, intervals=rx.Naive()))
     assert "it was kept, since" in one.message

@@ -9,7 +9,7 @@ from tests.machines import LAG_TRUTH as TRUTH
 from tests.machines import body_with_lag as motion
 
 import riecjax as rx
-from riecjax.equations.hidden_motion import with_hidden_motion
+from riecjax.equations.element_motion import with_element_motion
 from riecjax.validation import equation_error
 
 
@@ -38,7 +38,7 @@ def test_a_spring_is_found_beside_its_damper(clean):
 def test_a_spring_and_a_mode_are_found_together():
     mode = {"M_mode": 6.0, "K_mode": 21000.0, "B_mode": 120.0}
     record = rx.Record(motion(mode=tuple(mode.values())), STANDARD.step)
-    estimate = rx.identify(MODEL.with_modes(rx.HiddenMode("v")), record)
+    estimate = rx.identify(MODEL.with_elements(rx.HiddenMode("v")), record)
     assert estimate.parameters == ("m", "c", "k", *mode, "K_series")
     for name, value in (TRUTH | mode).items():
         assert float(estimate[name]) == pytest.approx(value, rel=0.01), name
@@ -75,16 +75,16 @@ def test_what_lags_closes_the_equation(clean):
     (left,) = equation_error(MODEL, clean, values)
     (without,) = equation_error(BODY, clean, {n: values[n] for n in ("m", "c", "k")})
     assert float(left.relative_rms) < 0.01 < 0.1 < float(without.relative_rms)
-    plain, record = with_hidden_motion(MODEL, clean, values)
+    plain, record = with_element_motion(MODEL, clean, values)
     assert not plain.has_hidden
     assert "v behind K_series" in record.arrays
 
 
 def test_what_cannot_be_asked(clean):
     with pytest.raises(rx.ModelError, match="no equation has a coefficient 'd'"):
-        rx.staged(BODY).with_series_springs(rx.SeriesSpring("d"))
+        rx.staged(BODY).with_elements(rx.SeriesSpring("d"))
     with pytest.raises(rx.ModelError, match="has a spring in series already"):
-        MODEL.with_series_springs(rx.SeriesSpring("c"))
+        MODEL.with_elements(rx.SeriesSpring("c"))
     with pytest.raises(rx.ModelError, match="known only where c is"):
         rx.identify(MODEL, clean, known={"K_series": 1e4})
     with pytest.raises(rx.ModelError, match="takes 2 derivatives off"):
@@ -93,7 +93,7 @@ def test_what_cannot_be_asked(clean):
         rx.identify(MODEL, [clean, clean], per_record=["k"])
     damper = rx.Terms("F", rx.roof([-1.0, 0.0, 1.0]), "v")
     mapped = rx.Equation(BODY.terms[0], damper, -rx.Term(1.0, "F"), name="mapped")
-    model = rx.staged(mapped).with_series_springs(rx.SeriesSpring("F_1"))
+    model = rx.staged(mapped).with_elements(rx.SeriesSpring("F_1"))
     with pytest.raises(rx.ModelError, match=r"rx\.refine"):
         rx.identify(model, clean)
     with pytest.raises(rx.ModelError, match="behind its spring"):

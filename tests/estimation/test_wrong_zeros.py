@@ -34,7 +34,7 @@ def test_an_offset_is_named_with_what_it_moves_and_estimated(name, size):
     assert found.remedy == ("--unknown-offset", "u")
     assert max(found.doubts.values()) > 0.5
     answer = rx.assess(
-        DRAG.with_sensor_errors(("u",), ()), record, refine=None, sweep=False
+        DRAG.with_elements(rx.elements.SensorZero("u")), record, refine=None, sweep=False
     ).estimate
     for parameter, value in TRUTH.items():
         error = float(dict(zip(answer.parameters, answer.standard_errors))[parameter])
@@ -58,7 +58,8 @@ def test_a_force_that_never_varies_has_no_wrong_zero():
 def test_no_alarm_of_right_models(noise):
     for seed in range(5):
         assert told(recording(seed, noise)) == []
-        assert told(recording(seed, noise, x=3.0), DRAG.with_sensor_errors(("u",), ())) == []
+        sensed = DRAG.with_elements(rx.elements.SensorZero("u"))
+        assert told(recording(seed, noise, x=3.0), sensed) == []
 
 
 @pytest.mark.no_finding("wrong_zero")

@@ -6,7 +6,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 
-from riecjax.reporting.charts.chart import (
+from riecjax.charts import (
     RUST,
     Axis,
     Chart,
@@ -17,7 +17,7 @@ from riecjax.reporting.charts.chart import (
     Panel,
     Span,
 )
-from riecjax.reporting.charts.printed import STYLE, printed
+from riecjax.reporting.printed import STYLE, printed
 
 X = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
 Y = np.array([10.0, -20.0, 30.0, 12.3456, 50.0])

@@ -11,10 +11,10 @@ from rich.console import Console
 from test_result_page import documents, whole
 
 import riecjax as rx
+from riecjax.charts import Axis, Chart, Line, single
 from riecjax.findings import Finding
 from riecjax.reporting import Answer, Table, View, answer_of, identification_page
 from riecjax.reporting.answer import read
-from riecjax.reporting.charts.chart import Axis, Chart, Line, single
 from riecjax.reporting.identification import print_everything
 from riecjax.reporting.result_figures import identification_figures
 

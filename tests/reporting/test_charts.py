@@ -11,7 +11,7 @@ from matplotlib.colors import to_hex
 from matplotlib.image import imread
 from reporting_charts import EVERYTHING, GAP, X, Y, assert_whole_in_print
 
-from riecjax.reporting.charts.chart import (
+from riecjax.charts import (
     BLUE,
     RUST,
     Axis,
@@ -22,8 +22,8 @@ from riecjax.reporting.charts.chart import (
     Span,
     single,
 )
-from riecjax.reporting.charts.interactive import interactive
-from riecjax.reporting.charts.printed import print_chart, printed
+from riecjax.reporting.interactive import interactive
+from riecjax.reporting.printed import print_chart, printed
 
 
 def in_print(*marks: Any, x: Axis | None = None, y: Axis | None = None) -> Any:

@@ -12,9 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
+from riecjax.charts import Axis, Chart, Line, single
 from riecjax.errors import DataError
-from riecjax.reporting.charts import printed
-from riecjax.reporting.charts.chart import Axis, Chart, Line, single
+from riecjax.reporting import printed
 from riecjax.reporting.document import is_intact, sealed
 from riecjax.reporting.output import _folder_beside, emit, write_folder
 from riecjax.reporting.page import Page, Section

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from reporting_charts import X, Y
 
-from riecjax.reporting.charts.chart import Axis, Line, single
-from riecjax.reporting.charts.interactive import interactive
+from riecjax.charts import Axis, Line, single
+from riecjax.reporting.interactive import interactive
 from riecjax.reporting.page import Page, Section, render
 from riecjax.reporting.tables import Table
 

@@ -11,10 +11,10 @@ from reporting_charts import assert_whole_in_print
 
 import riecjax as rx
 from riecjax.assessment.assess import Assessment
+from riecjax.charts import Dots, Line
 from riecjax.doubts.check import Check
 from riecjax.equations.model import as_model, staged
 from riecjax.reporting.answer import Known, answer_of
-from riecjax.reporting.charts.chart import Dots, Line
 from riecjax.reporting.document import ends_of
 from riecjax.reporting.result_figures import (
     curves_figure,

@@ -323,7 +323,7 @@ def test_a_job_may_ask_for_one_document(tmp_path, monkeypatch, capsys):
 def test_elements_by_their_kind():
     model, elements = rx.find_model("drag-oscillator"), rx.settings.Elements
     offset = model.with_elements(elements(added=[("offset", "u", None)]))
-    assert offset.parameters == model.with_sensor_errors(offsets=["u"]).parameters
+    assert offset.parameters == model.with_elements(rx.elements.SensorZero("u")).parameters
     with pytest.raises(rx.ModelError, match="no element 'absent'; there are: mode, spring, offset"):
         model.with_elements(elements(added=[("absent", "u", None)]))
     with pytest.raises(rx.ModelError, match="offset:u is near no frequency: leave out =3"):

@@ -48,7 +48,7 @@ def matrix(m: float, c: float, k: float, *modes: tuple[float, float, float]) -> 
 @pytest.mark.parametrize("on", ["x", "v"])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_body_and_mass_move_as_newton_says(on, sign):
-    made = rx.equation_system(rx.staged(oscillator(sign)).with_modes(rx.HiddenMode(on)), VALUES)
+    made = rx.equation_system(rx.staged(oscillator(sign)).with_elements(rx.HiddenMode(on)), VALUES)
     assert made.state_names == ("x", "v", "mode_deflection", "mode_velocity")
     assert dict(made.states)["mode_deflection"] == "m"
     expected = matrix(2.0, 0.7, 90.0, (0.5, 60.0, 0.8))
@@ -84,7 +84,7 @@ SECOND = rx.Equation(
 def test_a_mode_moves_every_equation_that_holds_its_body():
     """As the same system written out: the mass an equation of its own, M w' in both others."""
     values = {**VALUES, "p": 3.0, "q": 2.0, "r": 5.0}
-    modes = rx.staged(FIRST, SECOND).with_modes(rx.HiddenMode("b"))
+    modes = rx.staged(FIRST, SECOND).with_elements(rx.HiddenMode("b"))
     mass = rx.Term("M_mode", "w", derivative=1)
     stretching = difference("b", "w")
     written = rx.staged(
@@ -126,7 +126,7 @@ def quarter_car() -> np.ndarray:
 
 @pytest.mark.parametrize("name", ["quarter-car", "quarter-car-wheel"])
 def test_quarter_car_carries_an_engine(name):
-    model = rx.find_model(name).with_modes(rx.HiddenMode("x4"))
+    model = rx.find_model(name).with_elements(rx.HiddenMode("x4"))
     assert [(q.name, q.unit) for q in model.parameters[-3:]] == [
         ("M_mode", "kg"),
         ("K_mode", "N/m"),
@@ -159,7 +159,7 @@ def test_a_mode_is_simulated_by_equations_where_a_system_of_ones_own_lacks_it():
     plain = Model("cart", "", rx.staged(FIRST, SECOND), inputs=inputs, system=lambda _: Free())
     values = dict.fromkeys(plain.parameter_names, 2.0) | {"q": 0.5}
     assert isinstance(plain.build_system(values), Free)
-    model = plain.with_modes(rx.HiddenMode("a"))
+    model = plain.with_elements(rx.HiddenMode("a"))
     values = dict.fromkeys(model.parameter_names, 2.0) | {"q": 0.5}
     record = rx.Record({"u": np.zeros(20)}, 0.1)
     assert isinstance(model.identified_system(values, record), EquationSystem)
@@ -170,7 +170,7 @@ def test_a_mode_is_simulated_by_equations_where_a_system_of_ones_own_lacks_it():
 
 def recorded(seconds: float) -> rx.Record:
     """The oscillator with its mode under a random force, of which x and v are recorded."""
-    model = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
+    model = rx.staged(oscillator()).with_elements(rx.HiddenMode("x"))
     force = 20 * np.random.default_rng(0).normal(size=round(seconds / 0.02))
     inputs = rx.Record({"u": force}, 0.02)
     start = {"x": 0.1, "v": 1.0, "mode_velocity": 1.0}
@@ -179,7 +179,7 @@ def recorded(seconds: float) -> rx.Record:
 
 
 def test_validation_starts_a_mode_carried_along():
-    model = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
+    model = rx.staged(oscillator()).with_elements(rx.HiddenMode("x"))
     held = rx.validation.validate_held_out(rx.equation_system(model, VALUES), recorded(5.0))
     assert dict(held.started_from) == {
         "x": "measured",
@@ -196,7 +196,7 @@ def test_validation_starts_a_mode_carried_along():
 
 @pytest.mark.slow
 def test_refinement_finds_the_mode_again():
-    model = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
+    model = rx.staged(oscillator()).with_elements(rx.HiddenMode("x"))
     start = {name: 1.1 * value for name, value in VALUES.items()}
     by = rx.OutputError(intersample="lines")
     refined = rx.refine(model, recorded(5.0), start, by)
@@ -222,7 +222,7 @@ def wheel() -> Model:
         name="wheel",
         unit="N",
     )
-    return rx.staged(equation).with_series_springs(rx.SeriesSpring("F_2"))
+    return rx.staged(equation).with_elements(rx.SeriesSpring("F_2"))
 
 
 def push(t: np.ndarray) -> np.ndarray:
@@ -260,7 +260,7 @@ def recorded_wheel(seconds: float, step: float = 0.002) -> rx.Record:
 def test_a_linear_element_lags_as_its_matrix_says(sign):
     terms = MODEL.stages[0][0].terms
     equation = rx.Equation(*(-t if sign < 0 else t for t in terms), name="body")
-    model = rx.staged(equation).with_series_springs(rx.SeriesSpring("c"))
+    model = rx.staged(equation).with_elements(rx.SeriesSpring("c"))
     made = rx.equation_system(model, TRUTH, rates={"x": "v"})
     assert made.state_names == ("v", "x", "series_force")
     expected = body_matrix(TRUTH["c"], series=TRUTH["K_series"])[np.ix_([1, 0, 2], [1, 0, 2])]
@@ -311,14 +311,14 @@ def body(damper: rx.Term) -> rx.Equation:
 def test_what_cannot_be_asked():
     model = rx.staged(BODY)
     with pytest.raises(rx.ModelError, match=r"no equation has a coefficient 'b'.*m, c, k"):
-        model.with_series_springs(rx.SeriesSpring("b"))
-    with pytest.raises(rx.ModelError, match="SeriesSpring"):
-        model.with_series_springs("c")  # pyright: ignore[reportArgumentType]
+        model.with_elements(rx.SeriesSpring("b"))
+    with pytest.raises(rx.ModelError, match="HiddenMode"):
+        model.with_elements("c")  # pyright: ignore[reportArgumentType]
     for damper, of, message in (
         (rx.Terms("f", rx.friction(), of="v"), "f_viscous", "roof functions"),
         (rx.Terms("c", rx.Polynomial((1, 3)), "v"), "c_1", "inverse of its law"),
     ):
-        sprung = rx.staged(body(damper)).with_series_springs(rx.SeriesSpring(of))
+        sprung = rx.staged(body(damper)).with_elements(rx.SeriesSpring(of))
         with pytest.raises(rx.ModelError, match=message):
             rx.equation_system(sprung, dict.fromkeys(sprung.parameter_names, 1.0), rates={"x": "v"})
     other = rx.Equation(
@@ -326,10 +326,10 @@ def test_what_cannot_be_asked():
     )
     with pytest.raises(rx.ModelError, match="no one element"):
         rx.equation_system(
-            rx.staged(BODY, other).with_series_springs(rx.SeriesSpring("c")),
+            rx.staged(BODY, other).with_elements(rx.SeriesSpring("c")),
             {**TRUTH, "n": 1.0},
             rates={"x": "v"},
         )
-    sprung = model.with_series_springs(rx.SeriesSpring("c"))
+    sprung = model.with_elements(rx.SeriesSpring("c"))
     with pytest.raises(rx.ModelError, match="c, a spring in series, is zero"):
         rx.equation_system(sprung, {**TRUTH, "c": 0.0}, rates={"x": "v"})

@@ -27,6 +27,7 @@ from riecjax.estimation.stages import stages_over_records
 from riecjax.findings import Finding, Step, joined
 from riecjax.folds import Folds
 from riecjax.leaves import size_of
+from riecjax.models.catalogue import with_asked
 from riecjax.records.preparation.steps import undone
 from riecjax.records.recording import Recording
 from riecjax.settings.answers import Assess
@@ -64,7 +65,7 @@ class Asked(NamedTuple):
                 if option.flag in said
             }
 
-        model = self.model.with_elements(Elements(**of(Elements)))
+        model = with_asked(self.model, Elements(**of(Elements)))
         recordings, further, fitted = self.recordings, self.further, of(Assess)
         if of(Read) or of(Prepare):
             pairs = [(option, text) for option, texts in said.items() for text in texts]

@@ -39,14 +39,14 @@ from riecjax.doubts.check import (
     read_of,
 )
 from riecjax.doubts.influence import with_doubts
+from riecjax.elements.catalogue import findings_of_elements
 from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.errors import DataError, IdentifiabilityError, require
 from riecjax.estimation.constraints import Constraints
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.evidence import ModeTests, mode_evidence
+from riecjax.estimation.evidence import element_tests
 from riecjax.estimation.identify import estimate, estimated
 from riecjax.estimation.parameters import plan_parameters
-from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding
 from riecjax.leaves import size_of
 from riecjax.records.recording import Recording, as_recordings, explaining_errors
@@ -168,7 +168,7 @@ def _trial(asked: Asked, options: Sequence[str]) -> Assessment:
 def _assessed(asked: Asked) -> Assessment:
     """The assessment of what is asked, as it is."""
     model, recordings, further, settings = asked
-    model = with_rests(model, settings.at_rest)
+    model = with_rests(model, settings.at_rest).for_records([one.record for one in recordings])
     criterion = criterion_for(settings, model, [each.record for each in recordings])
 
     def concerning(some: Sequence[Recording]) -> list[Recording]:
@@ -210,11 +210,13 @@ def _assessed(asked: Asked) -> Assessment:
         with explaining_errors(fitted, model.says_change_of):
             summary = summarise(model, records, criterion, key=settings.key, bins=bins, survey=True)
         estimate = estimated(model, summary, table, intervals, constraints)
-        modes = ModeTests(mode_evidence(model, estimate)) if model.modes else None
+        of_elements = element_tests(model, estimate)
         # Nothing else is asked of recordings that priors and bounds tell.
         table_of_data = estimate.told_by_data
         of_sums, linear = check_sums(model, summary, table_of_data, estimate.known)
-        raise_if_not_carried(() if modes is None else modes.modes, of_sums.excitations)
+        raise_if_not_carried(
+            (one for test in of_elements for one in test.evidence), of_sums.excitations
+        )
         refusal = of_sums.refusal
         # What windows cannot tell from noise, output error may: it needs no derivative.
         of_windows = refusal is not None and refusal.about.refuses == "windows"
@@ -243,7 +245,7 @@ def _assessed(asked: Asked) -> Assessment:
         residuals = residuals_tested(
             model, records, estimate, functools.partial(causes_found, checked), by_windows
         )
-        failures += at_rest_findings(
+        failures += findings_of_elements(
             model, records, estimate, lambda other: again(records, other, intervals)
         )
         failures += [*unlike, *residuals.findings, *_validated_on_fitted(fitted, further)]
@@ -256,7 +258,7 @@ def _assessed(asked: Asked) -> Assessment:
                 sweep = sweep_of_sums(summary, table_of_data)
     validation = validation if validation.runs else None
     own = own_tests(makers, model, records, estimate if refined is None else refined)
-    tests = (modes, sweep, *residuals.tests, refinement, validation, *own.tests)
+    tests = (*of_elements, sweep, *residuals.tests, refinement, validation, *own.tests)
     return Assessment(
         model=model,
         recordings=fitted,
@@ -367,7 +369,6 @@ def assess_summary(
     """
     model = as_model(model)
     found = estimate(model, summary, known=known, intervals=intervals)
-    modes = ModeTests(mode_evidence(model, found)) if model.modes else None
     checked, _ = check_sums(model, summary, found.table, found.known)
     checked.raise_if_refused()
     sweep = None
@@ -381,7 +382,7 @@ def assess_summary(
         validated_on=(),
         checked=replace(checked, findings=[*findings, *checked.findings]),
         estimate=found,
-        tests=tuple(test for test in (modes, sweep) if test is not None),
+        tests=(*element_tests(model, found), *([] if sweep is None else [sweep])),
     )
 
 

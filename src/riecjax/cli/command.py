@@ -93,10 +93,10 @@ class Given:
 
     def model(self) -> "Model":
         """The model, with the elements that are added to it."""
-        from riecjax.models.catalogue import find_model
+        from riecjax.models.catalogue import find_model, with_asked
 
         model = find_model(self.model_name)
-        return model.with_elements(self.take(Elements)) if "modes" in self.values else model
+        return with_asked(model, self.take(Elements)) if "modes" in self.values else model
 
     def recordings(self, model: "Model", files: Sequence[Path] | None = None) -> "list[Recording]":
         """What files hold, read and prepared for a model; the RECORD... if no others are named.

@@ -97,8 +97,8 @@ def suited(model: Model, band: tuple[float, float] | None, records: Sequence[Rec
 
     **Arguments:** `band` in hertz that the model should explain, 1 to 10 if there is none.
     """
-    if model.has_hidden:
-        return _with_modes(model, band or DEFAULT_BAND, list(records))
+    if any(element.order for element in model.hidden):
+        return _with_elements(model, band or DEFAULT_BAND, list(records))
     usual, records = RIEC.of_band(band or DEFAULT_BAND), list(records)
     # Derivatives that boxcars would read of linear terms, and that no sensor measured.
     terms = (t for e in model.equations for t in e.terms if t.is_linear and t.derivative == 2)
@@ -122,15 +122,15 @@ def suited(model: Model, band: tuple[float, float] | None, records: Sequence[Rec
     return RIEC(bump.windows.between(alpha, beta), bump.test_function, why)
 
 
-def _with_modes(model: Model, band: tuple[float, float], records: Sequence[Record]) -> RIEC:
-    """Bumps of lengths from what shows the fastest mode to what the slowest motion asks for.
+def _with_elements(model: Model, band: tuple[float, float], records: Sequence[Record]) -> RIEC:
+    """Bumps of lengths from what shows the fastest element to what the slowest motion asks for.
 
-    A mode shows best in windows of 1.3 of its periods. The shortest serve modes up to `FASTER`
-    times the band, or a given one; no window has fewer samples than its derivatives need. What a
-    spring delays shows in the fastest motion, for which the same lengths serve.
+    What oscillates shows best in windows of 1.3 of its periods. The shortest serve what is up to
+    `FASTER` times the band, or given; no window has fewer samples than its derivatives need. What
+    comes late shows in the fastest motion, for which the same lengths serve.
     """
     orders = [t.derivative for stage in model.linear.stages for e in stage for t in e.terms]
-    fastest = max([FASTER * band[1], *(1.5 * mode.hz for mode in model.modes if mode.hz)])
+    fastest = max([FASTER * band[1], *(element.fastest for element in model.hidden)])
     steps = np.array([float(record.time_step) for record in records])
     durations = np.array([float(record.duration) for record in records])
     half, _ = GradedBump().lengths_of_band(band)

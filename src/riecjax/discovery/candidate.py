@@ -15,11 +15,11 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax.doubts.columns import STATES, Doubt
+from riecjax.elements.catalogue import states_of_motion
 from riecjax.equations.bases import AbstractShape, DeadZone, Saturation, Stribeck
+from riecjax.equations.element import Element
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, constant, even, odd, product, read_expression
-from riecjax.equations.hidden_elements import accelerated
-from riecjax.equations.memories import BoucWen, Dahl, Elapsed, Memory, usual_widths
 from riecjax.equations.model import Model
 from riecjax.equations.motions import Motion, is_slope, motions_and_unread, per
 from riecjax.equations.term import AbstractTerm, Term, Terms
@@ -39,7 +39,7 @@ class Candidate:
       of what resists motion is positive. One coefficient is called like the candidate.
     - `meaning`, in words.
     - `equation`, the name of the one that it may belong to; the first by default.
-    - `memories`, states that its terms read and recordings lack.
+    - `elements`, whose states its terms read and recordings lack.
     - `law`, the [`Shaped`][] one that it has a width of, that of this `number`; `None` without.
 
     **Raises:** `ModelError` without terms, or for what is no term.
@@ -49,7 +49,7 @@ class Candidate:
     terms: tuple[AbstractTerm, ...]
     meaning: str = ""
     equation: str = ""
-    memories: tuple[Memory, ...] = ()
+    elements: tuple[Element, ...] = ()
     law: "Shaped | None" = None
     number: int = 0
 
@@ -87,7 +87,7 @@ class Shaped:
 
     **Fields:** `name`, `meaning`, `equation` as of a [`Candidate`][]; `build`, which makes the term
     of a name and a width; `widths` that are tried, in the `unit` of the signal; `of`, that signal;
-    `remember`, of a law with a memory, which makes the state that the term reads.
+    `remember`, of a law with a memory, which makes the element whose state the term reads.
     """
 
     name: str
@@ -97,7 +97,7 @@ class Shaped:
     unit: str = ""
     meaning: str = ""
     equation: str = ""
-    remember: Callable[[str, float], Memory] | None = None
+    remember: Callable[[str, float], Element] | None = None
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -107,9 +107,9 @@ class Shaped:
     def at(self, number: int, name: str = "") -> Candidate:
         """The candidate of one of the widths, by a name of that width or another one."""
         name, width = name or f"{self.name}@{number}", float(self.widths[number])
-        memories = () if self.remember is None else (self.remember(name, width),)
+        elements = () if self.remember is None else (self.remember(name, width),)
         terms = (self.build(name, width),)
-        return Candidate(name, terms, self.meaning, self.equation, memories, self, number)
+        return Candidate(name, terms, self.meaning, self.equation, elements, self, number)
 
     def closer(self, number: int) -> "Shaped":
         """The same for widths between the two beside one of them, which stays among them."""
@@ -184,14 +184,14 @@ def lacked(model: Model, records: Sequence[Record]) -> list[Doubt]:
     return [
         Doubt(
             one.columns[0],
-            STATES if one.memories else "term",
+            STATES if one.elements else "term",
             term=one.terms[0],
             equation=one.equation,
             meaning=one.meaning,
-            memories=one.memories,
+            elements=one.elements,
         )
         for one in members(default_candidates(model, records))
-        if bool(one.memories) is (one.law is not None) and len(one.columns) == 1
+        if bool(one.elements) is (one.law is not None) and len(one.columns) == 1
     ]
 
 
@@ -207,10 +207,6 @@ FRICTION = (
     ("asymmetry", 1, False, "viscous friction that differs by direction"),
     ("quadratic_drag", 2, True, "quadratic drag"),
     ("cubic_drag", 3, True, "cubic drag"),
-)
-MEMORIES = (
-    ("dahl", Dahl, "hysteresis, as Dahl's friction"),
-    ("bouc_wen", BoucWen, "hysteresis, as of Bouc and Wen"),
 )
 STIFFNESS = (
     ("quadratic_stiffness", 2, False, "stiffness that differs by side"),
@@ -231,9 +227,11 @@ def default_candidates(model: Model, records: Sequence[Record]) -> list[AnyCandi
             after = f"_{motion.name}" if len(motions) > 1 else ""
             found += _of_motion(motion, equation.unit, records, name, after)
         found.append(of_term("offset", constant, equation.unit, "constant force", name))
-        state = state_name("drift")
-        drift = (Term("drift", state, unit=per(equation.unit, "s")),)
-        found.append(Candidate("drift", drift, "force that drifts", name, (Elapsed(state),)))
+        for law in (law for law in states_of_motion() if not law.is_of_motion):
+            drift = Term(law.kind, state_name(law.kind), unit=per(equation.unit, "s"))
+            state: Any = law
+            state = state(state_name(law.kind))
+            found.append(Candidate(law.kind, (drift,), law.words, name, (state,)))
     # Those of several equations by the equation's name, where two are called the same.
     called = Counter(candidate.name for candidate in found)
     found = [renamed(c, f"{c.name}_{c.equation}") if called[c.name] > 1 else c for c in found]
@@ -248,7 +246,7 @@ def not_offered(model: Model, records: Sequence[Record]) -> list[Finding]:
     motions = [(m, equation) for _, equation, those, *_ in _motions(model, records) for m in those]
     for motion, equation in motions:
         x, v = motion.position, motion.velocity
-        if x in accelerated(equation) and not v:
+        if x in equation.accelerated and not v:
             recorded = records[0].arrays
             v = next((n for n in recorded if n != x and is_slope(records[0], x, n)), f"d{x}")
             found[x] = Finding(
@@ -345,18 +343,16 @@ def _of_motion(
         yield one("viscous", x or v, per(force, speed), "viscous friction", **derivative)
     if v:
         yield from powers(FRICTION, v, speed)
-        # Hysteresis, whose widths are shares of a usual stroke.
-        usual = usual_widths(v, records)
-        for name, kind, meaning in MEMORIES:
+        for law in (law for law in states_of_motion() if law.is_of_motion):
             yield Shaped(
-                name + after,
+                law.kind + after,
                 lambda name, _: Term(name, state_name(name), unit=force),
-                usual,
+                law.widths(v, records),
                 v,
                 unit,
-                meaning,
+                law.words,
                 equation,
-                lambda name, width, kind=kind: kind(state_name(name), v, width),
+                lambda name, width, law=law: law(state_name(name), v, width),
             )
         yield shaped(Stribeck, "stribeck", v, speed, "Stribeck friction", force, SPEEDS)
         limited, damping = "friction that saturates", per(force, speed)

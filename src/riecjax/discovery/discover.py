@@ -3,7 +3,7 @@
 import contextlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,8 +20,9 @@ from riecjax.discovery.candidate import (
 from riecjax.discovery.search import Question, Rejected, Step, Sums, again, extended, without_twins
 from riecjax.doubts.check import of_sensors, read_of
 from riecjax.doubts.equation_faults import Cause, demanded, finding_of
+from riecjax.elements.catalogue import discovered_kinds
+from riecjax.equations.element import Element
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_elements import HiddenMode, accelerated, mode_frequency
 from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.equations.motions import reading_velocities
 from riecjax.equations.term import written
@@ -87,7 +88,7 @@ class Discovery(Shown):
     - `findings`: what is amiss with the recordings, also signals that are late against the
       equations that were found.
     - `delays`, seconds by which such signals were advanced before terms were chosen.
-    - `mode`: a further hidden mode, where much less is left with it; `chosen` are then
+    - `element`: a further one, such as a hidden mode, where much less is left with it; `chosen` are
       those terms that were found without it and are told from zero beside it.
     """
 
@@ -102,13 +103,13 @@ class Discovery(Shown):
     offered: int
     findings: tuple[Finding, ...] = ()
     delays: Mapping[str, float] = field(default_factory=dict)
-    mode: HiddenMode | None = None
+    element: Element | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of what was found: `delay` (of several signals `delay_u`), `mode`, and terms."""
+        """Names of what was found: `delay` (of several signals `delay_u`), the element, terms."""
         late = ["delay"] if len(self.delays) == 1 else [f"delay_{name}" for name in self.delays]
-        hidden = [] if self.mode is None else ["mode"]
+        hidden = [] if self.element is None else [self.element.kind]
         return (*late, *hidden, *(one.candidate.name for one in self.chosen))
 
     @property
@@ -161,7 +162,7 @@ def discover(model: Equation | Model, records: "Records", settings: DiscoverSett
     model = with_rests(as_model(model), settings.at_rest)
     if model.has_hidden:
         raise ModelError(
-            "terms are looked for beside a model without hidden modes and springs: leave these out."
+            "terms are looked for beside a model without hidden elements: leave these out."
         )
     # In the model's own words: of candidates none can be known, nor set a scale.
     names = model.parameter_names
@@ -182,7 +183,7 @@ def discover(model: Equation | Model, records: "Records", settings: DiscoverSett
     with_all = extended(model, members(offered))
     plan_parameters(with_all, 1, settings.known, ())
     # States of candidates are formed as they are summed, for each width anew.
-    whole = ready(replace(with_all, memories=model.memories), recordings, settings.noise)
+    whole = ready(replace(with_all, elements=model.elements), recordings, settings.noise)
     criterion = criterion_for(settings, model, [recording.record for recording in whole])
     # Without draws of its own, standard errors by blocks are the same.
     plain = settings.intervals in (None, "bootstrap") and settings.seed == 0
@@ -198,7 +199,7 @@ def discover(model: Equation | Model, records: "Records", settings: DiscoverSett
     answer = replace(answer, findings=(*lacking, *answer.findings))
     if not answer.leaves_more or any(finding.about.disorder for finding in answer.amiss):
         return answer
-    return _with_mode(asked, answer, in_time)
+    return _with_element(asked, answer, in_time)
 
 
 def _identified(
@@ -296,82 +297,85 @@ def _found(asked: Question, whole: list[Recording]) -> tuple[Discovery, Cause | 
     return answer, late
 
 
-# A further hidden mode, instead of terms or beside them.
+# A further element, such as a hidden mode, instead of terms or beside them.
 #
 # An oscillator on a body rings in the body's equation. Terms of its velocity and position explain a
-# part of that, one more for each thing that it does, and are no forces of the machine. Its three
-# coefficients do not stand in the sums of candidates: `identify` finds them, and
-# what both leave beyond noise says which it is.
+# part of that, one more for each thing that it does, and are no forces of the machine. Its
+# parameters do not stand in the sums of candidates: `identify` finds them, and what both leave
+# beyond noise says which it is.
 
 LEAVES = 0.3
-"""Of the error beyond noise that terms leave, rms, what is left with a mode at most that is
+"""Of the error beyond noise that terms leave, rms, what is left with an element at most that is
 added: a tenth of the energy."""
 TOLD = 3.0
-"""Standard errors from zero of a term that stays beside a mode; without the mode it may have stood
+"""Standard errors from zero of a term that stays beside an element; without that it may have stood
 for it."""
 
 
-def _with_mode(asked: Question, found: Discovery, recordings: list[Recording]) -> Discovery:
-    """The same, or where much less is left with a hidden mode, with it: instead of all terms, or
+def _with_element(asked: Question, found: Discovery, recordings: list[Recording]) -> Discovery:
+    """The same, or where much less is left with a hidden element, with it: instead of all terms, or
     beside those that are still told from zero."""
     model = found.start
     # Hidden elements have criteria of their own.
     criterion = asked.criterion if asked.settings.says_of_criterion else None
     stages = {name: " + ".join(names) for names in model.equation_names for name in names}
-    bodies = {n: accelerated(one) for n, one in zip(stages, model.equations, strict=True)}
+    equations = dict(zip(stages, model.equations, strict=True))
     fits = found.estimate.equations
-    # What is left of hysteresis rings like a mode: where that is not offered no mode is, nor
+    # What is left of hysteresis rings like a mode: where that is not offered no element is, nor
     # beside it.
     hysteretic = {one.equation for one in asked.offered if isinstance(one, Shaped) and one.remember}
-    names = [name for name in stages if bodies[name] and name in hysteretic]
-    for name in sorted(names, key=lambda n: -float(fits[n].model_rms)):
-        for on in reversed(bodies[name]):
-            try:
-                chosen, estimate = _beside_mode(asked, found, recordings, criterion, name, on)
-            except RiecjaxError:  # no mode is to be found on this body
-                continue
-            left, most = estimate.equations[name].model_rms, LEAVES * float(fits[name].model_rms)
-            if float(left) >= most or any(one.width and one.candidate.memories for one in chosen):
-                continue
-            start = found.estimate
-            if found.chosen:
-                start = _identified(asked, model, recordings, criterion)
-            candidates = [one.candidate for one in chosen]
-            frequency, _ = mode_frequency(estimate.values, HiddenMode(on))
-            terms = " + ".join(candidate.name for candidate in candidates)
-            path = [_step("", start.equations[name])]
-            path += [_step(terms, fits[name])] if chosen else []
-            path.append(_step("mode", estimate.equations[name]))
-            mode = HiddenMode(on, float(f"{float(frequency):.4g}"))
-            return replace(
-                found,
-                model=extended(model, candidates).with_modes(mode),
-                chosen=chosen,
-                rejected=(),
-                mode=mode,
-                paths={stages[name] if stages[name] in found.paths else name: tuple(path)},
-                estimate=estimate,
-                errors=dict(zip(estimate.parameters, map(float, estimate.standard_errors))),
-            )
+    tried = [
+        (name, kind.at(place))
+        for name in sorted(hysteretic & {*stages}, key=lambda n: -float(fits[n].model_rms))
+        for kind in discovered_kinds()
+        for place in reversed(kind.places(equations[name], model.equations))
+    ]
+    for name, element in tried:
+        try:
+            chosen, estimate = _beside(asked, found, recordings, criterion, name, element)
+        except RiecjaxError:  # none is to be found there
+            continue
+        left, most = estimate.equations[name].model_rms, LEAVES * float(fits[name].model_rms)
+        if float(left) >= most or any(one.width and one.candidate.elements for one in chosen):
+            continue
+        start = found.estimate
+        if found.chosen:
+            start = _identified(asked, model, recordings, criterion)
+        candidates = [one.candidate for one in chosen]
+        terms = " + ".join(candidate.name for candidate in candidates)
+        path = [_step("", start.equations[name])]
+        path += [_step(terms, fits[name])] if chosen else []
+        path.append(_step(element.kind, estimate.equations[name]))
+        near = replace(element, number=0).found_near(estimate.values)
+        return replace(
+            found,
+            model=extended(model, candidates).with_elements(near),
+            chosen=chosen,
+            rejected=(),
+            element=near,
+            paths={stages[name] if stages[name] in found.paths else name: tuple(path)},
+            estimate=estimate,
+            errors=dict(zip(estimate.parameters, map(float, estimate.standard_errors))),
+        )
     return found
 
 
-def _beside_mode(
+def _beside(
     asked: Question,
     found: Discovery,
     recordings: list[Recording],
     criterion: AbstractCriterion | None,
     name: str,
-    on: str,
+    element: Element,
 ) -> tuple[tuple[Chosen, ...], Estimate]:
-    """Terms that stay beside a mode on a body, and the estimate with both, of a named equation."""
+    """Terms that stay beside an element, and the estimate with both, of a named equation."""
 
     def estimate(chosen: Sequence[Chosen], by: Question = asked) -> Estimate:
         larger = extended(found.start, [one.candidate for one in chosen])
-        return _identified(by, larger.with_modes(HiddenMode(on)), recordings, criterion)
+        return _identified(by, larger.with_elements(element), recordings, criterion)
 
     alone = estimate(())
-    left = _step("mode", alone.equations[name])
+    left = _step(element.kind, alone.equations[name])
     if not found.chosen or not is_more_than_noise(left):
         return (), alone
     # Standard errors by blocks of time, whatever intervals were asked for.
@@ -384,7 +388,7 @@ def _beside_mode(
     )
     if len(stay) < len(found.chosen) or asked.intervals is not None:
         both = estimate(stay) if stay else alone
-    less = _step("mode", both.equations[name]).of_motion < 0.5 * left.of_motion
+    less = _step(element.kind, both.equations[name]).of_motion < 0.5 * left.of_motion
     return (stay, both) if less else ((), alone)
 
 
@@ -410,8 +414,8 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     estimate = found.estimate
     values = {n: float(estimate[n]) for n in (*estimate.parameters, *estimate.known)}
     terms = [chosen.candidate for chosen in found.chosen]
-    hidden = () if found.mode is None else found.mode.parameters
-    of_mode = {name: value for name, value in values.items() if name in hidden}
+    hidden = () if found.element is None else replace(found.element, number=0).hidden
+    of_element = {name: value for name, value in values.items() if name in hidden}
     added: dict[str, list[str]] = {}
     for candidate in terms:
         lines = [term.source for term in candidate.terms]
@@ -423,30 +427,27 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
         equation = candidate.equation or found.start.equation_names[0][0]
         added.setdefault(equation, []).extend(f"{line}," for line in lines)
     body = [f"MODEL = rx.find_model({_path(model, folder)})"]
-    if found.chosen or found.mode is None:
+    if found.chosen or found.element is None:
         equations = [
             line
             for name, lines in added.items()
             for line in _block(f"{written(name)}: [", lines, "],")
         ]
-        states = []
-        for memory in dict.fromkeys(memory for candidate in terms for memory in candidate.memories):
-            given = ((each, getattr(memory, each.name)) for each in fields(memory))
-            words = ", ".join(written(value) for each, value in given if value != each.default)
-            states.append(f"rx.equations.{type(memory).__name__}({words}),")
-        others = {name: value for name, value in values.items() if name not in of_mode}
+        read = dict.fromkeys(element for candidate in terms for element in candidate.elements)
+        states = [f"{element.source}," for element in read]
+        others = {name: value for name, value in values.items() if name not in of_element}
         meanings = {name: candidate.meaning for candidate in terms for name in candidate.columns}
         arguments = [
             *_block("{", equations, "},"),
-            *(_block("memories=[", states, "],") if states else []),
+            *(_block("elements=[", states, "],") if states else []),
             *_mapping("values", others),
             *_mapping("meanings", meanings),
         ]
         body = _block(f"{body[0]}.with_terms(", arguments, ")")
-    if found.mode is not None:
-        mode = f"rx.HiddenMode({written(found.mode.on)}, {found.mode.hz!r}),"
-        arguments = [mode, *_mapping("values", of_mode if found.chosen else values)]
-        body = [*body[:-1], *_block(f"{body[-1]}.with_modes(", arguments, ")")]
+    if found.element is not None:
+        element = f"{found.element.source},"
+        arguments = [element, *_mapping("values", of_element if found.chosen else values)]
+        body = [*body[:-1], *_block(f"{body[-1]}.with_elements(", arguments, ")")]
     imports = ["import riecjax as rx", ""]
     if any("{HERE}" in line for line in body):
         imports = ["from pathlib import Path", "", *imports, "HERE = Path(__file__).parent", ""]

@@ -353,9 +353,9 @@ def extended(model: Model, candidates: Sequence[Candidate]) -> Model:
     for candidate in candidates:
         name = candidate.equation or model.equation_names[0][0]
         added.setdefault(name, []).extend(candidate.terms)
-    memories = dict.fromkeys(memory for one in candidates for memory in one.memories)
+    elements = dict.fromkeys(element for one in candidates for element in one.elements)
     meanings = {name: one.meaning for one in candidates for name in one.columns}
-    return model.with_terms(added, memories=list(memories), meanings=meanings)
+    return model.with_terms(added, elements=list(elements), meanings=meanings)
 
 
 def without_twins(

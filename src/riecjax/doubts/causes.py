@@ -148,8 +148,8 @@ class Causes:
             best = sure[:1]
             if not best:
                 break
-        turning = [doubt.memories[0].velocity for doubt in near if doubt.kind == STATES]
-        near += [doubt for doubt in self.of(STATES) if doubt.memories[0].velocity in turning]
+        turning = [doubt.elements[0].place for doubt in near if doubt.kind == STATES]
+        near += [doubt for doubt in self.of(STATES) if doubt.elements[0].place in turning]
         drifting = {doubt.signals for doubt in near if doubt.kind == "drift"}
         near += [doubt for doubt in self.of("zero") if doubt.signals in drifting]
         return [doubt for doubt in self.every if doubt in near]

@@ -21,8 +21,8 @@ from riecjax.estimation.excitation import (
     raise_if_refused,
     refusal_by,
 )
-from riecjax.estimation.hidden_modes import linearised
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
+from riecjax.estimation.projection import linearised
 from riecjax.findings import Finding
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.record import Record, Records
@@ -36,7 +36,7 @@ from riecjax.summaries.summarise import ready, signals_read, summed, task
 from riecjax.summaries.summary import Summary
 
 if TYPE_CHECKING:
-    from riecjax.estimation.evidence import ModeEvidence
+    from riecjax.elements.evidence import Evidence
 
 FEWEST_STRETCHES = 10
 """Stretches of twice the longest window that the records should hold."""
@@ -83,17 +83,15 @@ class Check(Shown):
         raise_if_refused(self.findings)
 
 
-def raise_if_not_carried(
-    modes: "Iterable[ModeEvidence]", excitations: Iterable[Excitation]
-) -> None:
-    """Raise that recordings carry no such mode where that is why nothing tells regressors apart.
+def raise_if_not_carried(evidence: "Iterable[Evidence]", excitations: Iterable[Excitation]) -> None:
+    """Raise that recordings carry no such element where that is why nothing tells regressors apart.
 
     **Raises:** `IdentifiabilityError` with the finding's message and code.
     """
     refused = {one.stage_name for one in excitations if refusal_by(one.findings())}
-    for mode in modes:
-        if mode.stage in refused and not mode.carried:
-            first, *more = mode.findings()
+    for one in evidence:
+        if one.stage in refused and not one.carried:
+            first, *more = one.findings()
             message = " ".join(finding.message for finding in (first, *more))
             raise IdentifiabilityError(message, first.code)
 

@@ -35,9 +35,8 @@ from jaxtyping import Complex, Float, Int
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.windows import WindowSet
+from riecjax.equations.element import Element
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_elements import accelerated
-from riecjax.equations.memories import Memory, with_memories
 from riecjax.equations.model import Model
 from riecjax.equations.noisy_columns import Columns, sampled_columns
 from riecjax.equations.term import AbstractTerm
@@ -74,25 +73,25 @@ of unit size changes them."""
 
 
 @dataclass(frozen=True)
-class Ringing:
-    """How a mode moves against its body, from rest on: a signal behind a filter.
+class Lacked:
+    """What an element that an equation lacks makes of a term, from rest on: a filtered signal.
 
-    **Fields:** `on` which body; the signal whose derivative of an `order` is the body's
-    acceleration, and the `sign` of its inertia in the equation; frequency in `hertz`, and the ratio
-    of `damping`.
+    **Fields:** `element`; the signal whose derivative of an `order` its term is of, and the `sign`
+    of that in the equation; where its shape is on the element's `rough_axes`.
     """
 
-    on: str
+    element: Element
     signal: str
     order: int
     sign: float
-    hertz: float
-    damping: float
+    at: tuple[float, ...]
 
     def response(self, s: Complex[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
-        """Of the mode's filter as Laplace transforms it, less the signal itself."""
-        w, square = 2 * np.pi * self.hertz, s**2
-        return -self.sign * square / (square + 2 * self.damping * w * s + w**2)
+        """Of the element's filter as Laplace transforms it, less the signal itself."""
+        shape = self.element.rough_shape(self.at)
+        less = np.asarray(shape.numerator) - np.asarray(shape.denominator)
+        below = np.polyval(np.asarray(shape.denominator)[::-1], s)
+        return self.sign * np.polyval(less[::-1], s) / below
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +99,8 @@ class Doubt:
     """What may be amiss: a column.
 
     **Fields:** `name`, of its column; `kind`; the `signals` that it changes, all by one `course`;
-    or the `term` that an `equation` may lack, by its `meaning`, with `memories`, states that it
-    reads and recordings lack; or the `mode` of a body of it.
+    or the `term` that an `equation` may lack, by its `meaning`, with `elements`, whose states
+    it reads and recordings lack; or what is `lacked` of an element of it.
     """
 
     name: str
@@ -111,8 +110,8 @@ class Doubt:
     term: AbstractTerm | None = None
     equation: str = ""
     meaning: str = ""
-    mode: Ringing | None = None
-    memories: tuple[Memory, ...] = ()
+    lacked: Lacked | None = None
+    elements: tuple[Element, ...] = ()
 
 
 class _Windows(NamedTuple):
@@ -197,14 +196,14 @@ class _Columns:
     """How one equation's columns are made, with the terms that it may lack.
 
     **Fields:** the `plain` equation, and that of terms which it may have `lacked`; `doubts` of
-    sensors, and of `modes`; `values` of the estimate, of known coefficients too; `criterion`;
+    sensors, and of `elements`; `values` of the estimate, of known coefficients too; `criterion`;
     whose `noise` is taken off.
     """
 
     plain: Equation
     lacked: Equation | None
     doubts: Sequence[Doubt]
-    modes: Sequence[Doubt]
+    elements: Sequence[Doubt]
     values: Mapping[str, float]
     criterion: AbstractCriterion
     noise: str
@@ -216,7 +215,7 @@ class _Columns:
         criterion, smoothness = self.criterion, self.criterion.smoothness
         read = self.plain.signals_read(record, smoothness)
         sensors = [doubt for doubt in self.doubts if read & {*doubt.signals}]
-        modes = [doubt.mode for doubt in self.modes if doubt.mode is not None]
+        filters = [doubt.lacked for doubt in self.elements if doubt.lacked is not None]
         touched = sorted({name for doubt in sensors for name in doubt.signals if name in read})
         slopes = {name: self._slope(record, name) for name in touched}
         time = np.asarray(record.elapsed, float)
@@ -242,18 +241,16 @@ class _Columns:
                 parts = (slopes[n] * course(samples[n], rates[n], time) for n in own)
                 yield sum(parts, start=np.zeros(time.size))
 
-        def ringing(of: Record) -> Iterator[Values]:
+        def filtered(of: Record) -> Iterator[Values]:
             # Twice as long, so that no end of the response comes round.
             size = 2 * int(scipy.fft.next_fast_len(time.size, real=True) or time.size)
             s = 2j * np.pi * np.fft.rfftfreq(size, float(of.time_step))
-            samples = {
-                name: np.asarray(of.arrays[name]) for name in {mode.signal for mode in modes}
-            }
+            samples = {name: np.asarray(of.arrays[name]) for name in {f.signal for f in filters}}
             spectra = {name: np.fft.rfft(x - x.mean(), size) for name, x in samples.items()}
-            for mode in modes:
+            for one in filters:
                 column = np.zeros((1 + smoothness, time.size))
-                behind = np.fft.irfft(spectra[mode.signal] * mode.response(s), size)
-                column[mode.order] = behind[: time.size]
+                behind = np.fft.irfft(spectra[one.signal] * one.response(s), size)
+                column[one.order] = behind[: time.size]
                 yield column
 
         def integrated(columns: Iterable[Values]) -> Windowed:
@@ -268,11 +265,11 @@ class _Columns:
         def read_of(side: Record) -> Iterator[Values]:
             equations = [self.plain, *([self.lacked] if self.lacked and every else [])]
             yield from by_column(*(sampled_columns(e, side, smoothness) for e in equations))
-            yield from itertools.chain(changed(side), ringing(side)) if every else ()
+            yield from itertools.chain(changed(side), filtered(side)) if every else ()
 
         columns = [name for each in own for name in each.parameters]
-        columns += [doubt.name for doubt in (*sensors, *self.modes)]
-        rows = integrated(itertools.chain(by_column(*own), changed(record), ringing(record)))
+        columns += [doubt.name for doubt in (*sensors, *self.elements)]
+        rows = integrated(itertools.chain(by_column(*own), changed(record), filtered(record)))
         added = np.zeros((folds, len(rows), len(rows)))
         if any(record.noise.kernels.get(name) for name in read):
             for sides in copies:
@@ -356,8 +353,8 @@ def folds_of(
         if doubt.term is not None:
             terms.setdefault(doubt.equation, []).append(doubt.term)
     records = [each.part(0, min(each.sample_count, MOST_SAMPLES)) for each in records]
-    memories = [*model.memories, *(state for doubt in doubts for state in doubt.memories)]
-    records = [with_memories(record, memories) for record in records]
+    for element in (*model.elements, *(each for doubt in doubts for each in doubt.elements)):
+        records = [element.with_states(record) for record in records]
     windows = windows_of(criterion, records)
     fold = np.concatenate([each.fold for each in windows])
     count = 1 + int(fold[-1])
@@ -376,8 +373,8 @@ def folds_of(
                 continue
             own = with_all.terms[len(equation.terms) :]
             lacked = equation.of_terms(*own) if own else None
-            modes = [doubt for doubt in doubts if doubt.mode is not None and doubt.equation == name]
-            columns = _Columns(equation, lacked, sensors, modes, values, criterion, noise)
+            elements = [one for one in doubts if one.lacked is not None and one.equation == name]
+            columns = _Columns(equation, lacked, sensors, elements, values, criterion, noise)
             of_each = zip(records, windows, copies, strict=True)
             parts.append(_joined([columns.rows(*one, count) for one in of_each]))
         if parts:
@@ -461,7 +458,7 @@ def clocks_of(model: Model, read: set[str]) -> list[tuple[str, ...]]:
         for pair in equation.derivatives:
             one = set().union(*(g for g in groups if g & {*pair}))
             groups = [g for g in groups if not g & {*pair}] + ([one] if one else [])
-    bodies = [name for e in model.equations for name in accelerated(e)]
+    bodies = [name for e in model.equations for name in e.accelerated]
     groups.sort(key=lambda g: (not g & {*bodies[:1]}, sorted(g)))
     return [tuple(sorted(g)) for g in groups[1:]]
 

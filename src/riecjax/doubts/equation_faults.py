@@ -20,7 +20,6 @@ from riecjax.doubts.columns import (
     STATES,
     Asked,
     Doubt,
-    Ringing,
     folds_of,
     longest_delay,
     plausible,
@@ -35,8 +34,9 @@ from riecjax.doubts.delays import (
     low_pass_of,
     settled,
 )
-from riecjax.doubts.modes import best_mode, elsewhere
+from riecjax.doubts.lacked_elements import best_element, elsewhere
 from riecjax.equations import expressions
+from riecjax.equations.element import Told
 from riecjax.equations.expressions import constant
 from riecjax.equations.model import Model, as_model
 from riecjax.equations.motions import per
@@ -300,7 +300,7 @@ class Weighing:
     def _mode(self) -> Cause | None:
         """A mode on one of the bodies that explains what is left."""
         causes = self.causes
-        mode = best_mode(self.asked, self.records)
+        mode = best_element(self.asked, self.records)
         if mode is None:
             return None
         folds = folds_of(mode.asked, self.records, [mode.doubt])
@@ -387,17 +387,6 @@ def _matters(cause: Cause, estimate: Estimate) -> bool:
     return any(abs(change) > MOVES * errors[name] for name, change in moved.items())
 
 
-class _Said(NamedTuple):
-    """What is told of a cause: its code, what it is, and what to do about it, in a sentence, by
-    options and in few words."""
-
-    code: str
-    what: str
-    then: str = ""
-    remedy: tuple[str, ...] = ()
-    step: str = ""
-
-
 class Equated(NamedTuple):
     """What a signal is held against, in words: which `says` otherwise, and `leaves` so much `of`
     what it explains; the code of a `zero`."""
@@ -418,12 +407,12 @@ def finding_of(
     if cause.admitted:
         return _of_part(cause)
     names = cause.doubt.signals or tuple(n for one in cause.same for n in one.signals)
-    if cause.doubt.memories:
-        names = tuple(state.velocity for state in cause.doubt.memories)
+    if cause.doubt.elements:
+        names = tuple(element.place for element in cause.doubt.elements)
     elif cause.doubt.term is not None and not names:
         names = expressions.signals_read(cause.doubt.term.of)
-    elif cause.doubt.mode is not None:
-        names = (cause.doubt.mode.on,)
+    elif cause.doubt.lacked is not None:
+        names = (cause.doubt.lacked.element.place,)
     if cause.undone is not None and cause.undone.course is not None:
         said = _of_course(names, cause.undone.course, records[0])
     elif cause.doubt.kind == "delay" and cause.undone is not None:
@@ -461,8 +450,8 @@ def described(doubt: Doubt) -> str:
     """A doubt, in a few words."""
     if doubt.term is not None:
         return f"{doubt.meaning} ({doubt.name})"
-    if doubt.mode is not None:
-        return f"a mode on {doubt.mode.on} near {doubt.mode.hertz:.3g} Hz"
+    if doubt.lacked is not None:
+        return doubt.lacked.element.lacked_at(doubt.lacked.at)
     if doubt.kind == "clock":
         return f"a delay of {joined(doubt.signals)} that changes"
     return f"a {doubt.name}"
@@ -481,13 +470,13 @@ def _of_part(cause: Cause) -> Finding:
     return Finding("unexplained", message, parameters=tuple(doubts), doubts=doubts)
 
 
-def _of_delay(signals: Sequence[str], delay: Settled, says: str) -> _Said:
+def _of_delay(signals: Sequence[str], delay: Settled, says: str) -> Told:
     names = " and ".join(signals)
     milliseconds = f"{1e3 * abs(delay.size):.3g} ms"
     size = f"{milliseconds} ({abs(delay.samples):.3g} samples, +-{1e3 * delay.reach:.2g} ms)"
     if delay.low_passed:
         remedy = option_for("--unfilter", signals, f"{delay.size:.4g}")
-        return _Said(
+        return Told(
             "low_passed",
             f"{names}: behind a first-order low-pass with a time constant of {size}, a cut-off at "
             f"{1 / (2 * np.pi * delay.size):.3g} Hz",
@@ -499,7 +488,7 @@ def _of_delay(signals: Sequence[str], delay: Settled, says: str) -> _Said:
     way = f"earlier than {says}: all others are late, or low-passed"
     if delay.size > 0:
         way = f"later than {says}{'' if delay.certain else ', or low-passed'}"
-    return _Said(
+    return Told(
         "late_signal",
         f"{names} come{'s' * (len(signals) == 1)} {size} {way}",
         f"Shift it (on the command line: {shlex.join(remedy)}), or record all by one clock.",
@@ -508,7 +497,7 @@ def _of_delay(signals: Sequence[str], delay: Settled, says: str) -> _Said:
     )
 
 
-def _of_course(signals: Sequence[str], course: Course, record: Record) -> _Said:
+def _of_course(signals: Sequence[str], course: Course, record: Record) -> Told:
     names, time, step = " and ".join(signals), np.asarray(record.elapsed), float(record.time_step)
     lasts = f"from {course.first:.3g} to {course.last:.3g} samples"
     if course.kind == "clocks":
@@ -524,7 +513,7 @@ def _of_course(signals: Sequence[str], course: Course, record: Record) -> _Said:
         )
         way = "falls behind" if course.change > 0 else "gets ahead of"
         action = f"Set the clock of {names}, or record it by that of the others"
-        return _Said(
+        return Told(
             "two_clocks",
             f"{names} {way} the others evenly, {lasts}: its clock differs by {rate:.3g} ppm",
             f"{action} ({shlex.join(remedy)}).",
@@ -537,7 +526,7 @@ def _of_course(signals: Sequence[str], course: Course, record: Record) -> _Said:
     is_before = abs(course.first) <= abs(course.last)
     remedy = ("--to", f"{first:.7g}") if is_before else ("--from", f"{last:.7g}")
     action = "Use the part of the record in which it is in time"
-    return _Said(
+    return Told(
         "lost_rows",
         f"the delay of {names} jumps {lasts} between {first:.4g} and {last:.4g} s: "
         f"{'all others have' if course.change > 0 else 'it has'} lost rows there",
@@ -547,7 +536,7 @@ def _of_course(signals: Sequence[str], course: Course, record: Record) -> _Said:
     )
 
 
-def _of_zero(cause: Cause, model: Model, record: Record, says: str) -> _Said:
+def _of_zero(cause: Cause, model: Model, record: Record, says: str) -> Told:
     """The zero of a sensor, and the constant that it may be as well."""
     doubt, size = cause.doubt, cause.size
     zeros = [one.signals[0] for one in (doubt, *cause.same) if one.kind == "zero"]
@@ -575,50 +564,25 @@ def _of_zero(cause: Cause, model: Model, record: Record, says: str) -> _Said:
         remedy = option_for("--zero", doubt.signals[:1], f"{size:.6g}")
         then = step = f"Take the offset off {zeros[0]}" if zeros else "Add a constant force"
         then += f" (on the command line: {shlex.join(remedy)})" if remedy else ""
-    return _Said("wrong_zero", what, f"{then}.", remedy, step)
+    return Told("wrong_zero", what, f"{then}.", remedy, step)
 
 
-def _of_mode(equation: str, mode: Ringing, mass: float) -> _Said:
-    remedy = ("--add-mode", f"{mode.on}={mode.hertz:.3g}")
-    return _Said(
-        "unmodelled_mode",
-        f"{equation}: what the model leaves is the ringing of a mode on {mode.on} near "
-        f"{mode.hertz:.3g} Hz, of a mass of about {mass:.3g} and a damping ratio of "
-        f"{mode.damping:.2g}",
-        f"Find it (on the command line: {shlex.join(remedy)}; rx.HiddenMode('{mode.on}', "
-        f"{mode.hertz:.3g})).",
-        remedy,
-        f"Find the mode on {mode.on} that the model leaves out",
-    )
-
-
-def _of_state(doubt: Doubt, record: Record) -> _Said:
-    (state,) = doubt.memories
-    v = state.velocity
-    width = f"{state.width:.2g} {per(record.signal(v).unit, '1/s')}".rstrip()
-    return _Said(
-        "hysteresis",
-        f"{doubt.equation}: what the model leaves runs in loops over {v}: hysteresis is missing, a "
-        f"state that turns round within about {width} of displacement ({type(state).__name__})",
-        "Find its law (riecjax discover).",
-        step="Find the law of the hysteresis: riecjax discover",
-    )
-
-
-def _of_size(cause: Cause, model: Model, record: Record, says: str) -> _Said:
+def _of_size(cause: Cause, model: Model, record: Record, says: str) -> Told:
     """A zero, a gain, a drift, or a term that the model lacks."""
     doubt, size = cause.doubt, cause.size
     is_constant = doubt.term is not None and doubt.term.of is constant
     if is_constant or any(one.kind == "zero" for one in (doubt, *cause.same)):
         return _of_zero(cause, model, record, says)
-    if doubt.mode is not None:
-        return _of_mode(doubt.equation, doubt.mode, size)
-    if doubt.memories:
-        return _of_state(doubt, record)
+    if doubt.lacked is not None:
+        return doubt.lacked.element.as_cause(doubt.equation, doubt.lacked.at, size)
+    if doubt.elements:
+        (element,) = doubt.elements
+        unit = per(record.signal(element.place).unit, "1/s")
+        return element.as_cause(doubt.equation, (), size, unit)
     if doubt.term is not None:
         unit = next(iter(doubt.term.units.values()), "")
         value = f"{doubt.name} = {size:.3g} {unit}".rstrip()
-        return _Said(
+        return Told(
             "missing_term",
             f"{doubt.equation}: the model lacks a term, {doubt.meaning} ({value})",
             "Add it (riecjax discover writes the model).",
@@ -630,7 +594,7 @@ def _of_size(cause: Cause, model: Model, record: Record, says: str) -> _Said:
     if doubt.kind == "gain":
         remedy = ("--scale", f"{name}={1 / (1 + size):.5g}")
         step = f"Scale {name}"
-        return _Said(
+        return Told(
             "wrong_gain",
             f"{name} is {1 + size:.4g} times what {says}",
             f"{step} ({shlex.join(remedy)}).",
@@ -644,7 +608,7 @@ def _of_size(cause: Cause, model: Model, record: Record, says: str) -> _Said:
         *option_for("--zero", (name,), f"{zero:.6g}"),
         *option_for("--slope", (name,), f"{slope:.6g}"),
     )
-    return _Said(
+    return Told(
         "drifting_signal",
         f"what the model leaves grows evenly with time, as if {name} drifted by {amount} along the "
         f"record",

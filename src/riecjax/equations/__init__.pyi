@@ -4,11 +4,11 @@ from .bases import Friction as Friction
 from .bases import RoofFunctions as RoofFunctions
 from .bases import Saturation as Saturation
 from .bases import Stribeck as Stribeck
+from .element import Attached as Attached
+from .element import CarriedState as CarriedState
+from .element import Shape as Shape
 from .equation_system import EquationSystem as EquationSystem
 from .expressions import faster_than as faster_than
-from .memories import BoucWen as BoucWen
-from .memories import Dahl as Dahl
-from .memories import Elapsed as Elapsed
 from .model import AtRest as AtRest
 from .model import as_model as as_model
 from .model import with_rests as with_rests

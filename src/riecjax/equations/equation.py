@@ -118,6 +118,25 @@ class Equation(PlainMethods, Shown, eqx.Module):
             for pair in zip((term.of, *term.measured), term.measured)
         )
 
+    def inertia_of(self, body: str) -> AbstractTerm | None:
+        """The term that accelerates a body, if there is one.
+
+        **Arguments:** `body`, a velocity of which the term holds the first derivative, or a
+        position, or its velocity, where it holds that one's second.
+        """
+        for term in self.terms:
+            velocity = term.measured[0] if term.measured else f"d{term.signal}"
+            moves = {1: (term.signal,), 2: (term.signal, velocity)}.get(term.derivative, ())
+            if term.signal is not None and body in moves:
+                return term
+        return None
+
+    @property
+    def accelerated(self) -> tuple[str, ...]:
+        """Signals of bodies that it accelerates."""
+        signals = dict.fromkeys(t.signal for t in self.terms if t.derivative and t.signal)
+        return tuple(of for of in signals if self.inertia_of(of) is not None)
+
     def signals_read(self, record: Record, smoothness: int, masked: bool = True) -> set[str]:
         """Names of the signals that a criterion reads which takes `smoothness` derivatives off.
 

@@ -24,8 +24,8 @@ where an expression reads unknowns J is its forward derivative, exact for any th
 linearly, where a difference quotient would round. An equation with one unknown left is a division,
 which orders most mechanisms; what stays coupled is solved together.
 
-Hidden modes, and springs in series, are written out: their states are further ones, and their
-forces stand in the equations (`HiddenMode` and `SpringElement` of `hidden_elements`).
+Elements are written out: their states are further ones, and their forces stand in the equations
+(`Element.attached`).
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -39,14 +39,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax import arrays as xp
+from riecjax.equations.element import CarriedState, Element
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, label_of, signals_read
-from riecjax.equations.hidden_elements import (
-    HiddenMode,
-    HiddenState,
-    SeriesSpring,
-    SpringElement,
-)
 from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, made_by, reversing_states
 from riecjax.errors import ModelError, users_code
@@ -80,39 +75,37 @@ class EquationSystem(AbstractSystem):
 
     Values are array leaves and all else is static: new values compile nothing anew.
 
-    **Fields:** `equations`, those of hidden elements among them, with the `values` of their
-    coefficients; `springs` in series with force elements; what each signal is: `states`, below the
-    leading derivatives, `inputs` and `outputs`; `motions`; `rates`, expressions for the derivatives
-    of further states; `unknowns`, what the equations are solved for; `hidden` states of elements;
-    `reversing`, states at whose zero the equations jump; `implicit`, places of terms that are
-    functions of unknowns.
+    **Fields:** `equations`, those of elements among them, with the `values` of their coefficients;
+    `attached`, states of elements; what each signal is: `states`, below the leading derivatives,
+    `inputs` and `outputs`; `motions`; `rates`, expressions for the derivatives of further states;
+    `unknowns`, what the equations are solved for; `reversing`, states at whose zero the equations
+    jump; `implicit`, places of terms that are functions of unknowns.
     """
 
     equations: tuple[Equation, ...]
     values: dict[str, Array]
-    springs: tuple[SpringElement, ...]
+    attached: tuple[CarriedState, ...]
     states: Quantities = eqx.field(static=True)  # pyright: ignore
     inputs: Quantities = eqx.field(static=True)  # pyright: ignore
     outputs: Quantities = eqx.field(static=True)  # pyright: ignore
     motions: tuple[Motion, ...] = eqx.field(static=True)
     rates: tuple[tuple[str, Expression], ...] = eqx.field(static=True)
     unknowns: tuple[str, ...] = eqx.field(static=True)
-    hidden: tuple[HiddenState, ...] = eqx.field(static=True)
     reversing: tuple[str, ...] = eqx.field(static=True)  # pyright: ignore
     implicit: frozenset[tuple[int, int]] = eqx.field(static=True)
 
     @property
     def carried(self) -> tuple[str, ...]:  # pyright: ignore
-        """States of hidden modes, and forces of springs."""
-        return tuple(state.name for state in self.hidden)
+        """States of elements."""
+        return tuple(state.name for state in self.attached)
 
     def carried_levels(
         self, signals: Mapping[str, Float[Array, " n"]]
     ) -> Mapping[str, Float[Array, " n"]]:
-        """The motion of hidden masses, and forces that elements have where their springs rest."""
-        levels = {s.name: signals[s.follows] for s in self.hidden if s.follows in signals}
-        for spring in self.springs:
-            levels |= spring.at_rest(signals, self.values)
+        """States of elements at rest, as far as signals tell them."""
+        levels: dict[str, Array] = {}
+        for state in self.attached:
+            levels |= state.at_rest(signals, self.values)
         return levels
 
     @property
@@ -206,14 +199,8 @@ class EquationSystem(AbstractSystem):
 
     def _term(self, term: AbstractTerm, signals: dict[str, Array]) -> Array:
         values = [self.values[name] for name in term.parameters]
-        factor, basis = xp.asarray(term.factor), term.basis
-        if basis is not None:
-            law = partial(basis.interpolate, xp.stack(values))
-            return factor * self._expression(term, signals, law)[0]
-        columns = self._expression(term, signals, term.functions)[:, 0]
-        if len(values) > 1:
-            return factor * xp.stack(values) @ columns
-        return factor * (values[0] if values else 1.0) * columns[0]
+        law = partial(term.force, values)
+        return xp.asarray(term.factor) * self._expression(term, signals, law)[0]
 
     def _expression(
         self,
@@ -259,38 +246,36 @@ class EquationSystem(AbstractSystem):
             name: signals[rate] if isinstance(rate, str) else xp.atleast_1d(xp.asarray(rate(known)))
             for name, rate in self.rates
         }
-        for spring in self.springs:
-            across = self._expression(spring.element, dict(signals))
-            flow[spring.state.name] = spring.rate(signals, self.values, across)
+        for state in self.attached:
+            if state.term is not None:
+                read = self._expression(state.term, dict(signals))
+                flow[state.name] = state.rate(signals, self.values, read)
         return flow
 
 
 def read_system(
     label: str,
     equations: tuple[Equation, ...],
-    elements: tuple[Sequence[HiddenMode], Sequence[SeriesSpring]],
+    elements: Sequence[Element],
     values: dict[str, Array],
     rates: dict[str, Expression],
     inputs: Sequence[str],
     listed: Sequence[Quantity],
     units: Mapping[str, str],
 ) -> EquationSystem:
-    """The system that equations describe, with hidden elements written out in them.
+    """The system that equations describe, with elements written out in them.
 
     **Arguments:** `listed`, signals in the model's order, which is that of states.
 
     **Raises:** `ModelError` if they cannot be simulated; see [`equation_system`][].
     """
-    modes, in_series = elements
-    hidden: list[HiddenState] = []
-    springs = tuple(SpringElement.of(spring, equations) for spring in in_series)
-    for spring in springs:
-        equations = tuple(map(spring.written_out, equations))
-    for mode in modes:
-        equations, of_mode, of_mass = mode.written_out(equations)
-        rates |= of_mode
-        hidden += of_mass
-    hidden += (spring.state for spring in springs)
+    attached: list[CarriedState] = []
+    of_elements: dict[str, Expression] = {}
+    for element in elements:
+        equations, further, states = element.attached(equations)
+        of_elements |= further
+        attached += states
+    rates = {**of_elements, **rates}
     # State signals in order of appearance, each with its longest chain of derivatives.
     differentiated = [term for equation in equations for term in equation.terms if term.derivative]
     moving = [
@@ -370,16 +355,16 @@ def read_system(
             f"{label} cannot be simulated: {len(equations)} equation(s) for {len(unknowns)} "
             f"unknown(s) ({', '.join(unknowns)}). {remedy}"
         )
-    # States in the model's order, those of hidden elements last.
-    carried = [state.name for state in hidden]
+    # States in the model's order, those of elements last.
+    carried = [state.name for state in attached]
     place = {name: i for i, name in enumerate((*(q.name for q in listed), "", *carried))}
     lower = (name for motion in motions for name in motion[:-1])
     unsorted = dict.fromkeys((*lower, *rates, *carried))
     states = sorted(unsorted, key=lambda name: place.get(name, place[""]))
     terms = [term for equation in equations for term in equation.terms]
     read: list[Expression] = []
-    for term in (*terms, *(spring.element for spring in springs)):
-        if not term.is_linear and term.basis is None:
+    for term in (*terms, *(state.term for state in attached if state.term is not None)):
+        if not term.is_linear and term.basis is None and type(term).force is AbstractTerm.force:
             try:
                 jax.eval_shape(lambda x, t=term: made_by(t, lambda: t.functions(x), 1), np.zeros(1))
             except ModelError as error:
@@ -411,7 +396,7 @@ def read_system(
     )
     # A derivative of a state has its name from the simulation, others the recorded one.
     derivatives = {f"d{name}" for name in states}
-    stated = {q.name: q.unit for q in listed if q.unit} | {s.name: s.unit for s in hidden}
+    stated = {q.name: q.unit for q in listed if q.unit} | {s.name: s.unit for s in attached}
 
     def with_units(names: Iterable[str]) -> Quantities:
         return tuple((name, units.get(name, stated.get(name, ""))) for name in names)
@@ -419,14 +404,13 @@ def read_system(
     system = EquationSystem(
         equations=equations,
         values=values,
-        springs=springs,
+        attached=tuple(attached),
         states=with_units(states),
         inputs=with_units(driving),
         outputs=with_units(name for name in unknowns if name not in derivatives),
         motions=motions,
         rates=tuple(rates.items()),
         unknowns=unknowns,
-        hidden=tuple(hidden),
         reversing=reversing_states(terms, states, (*states, *unknowns, *driving)),
         implicit=implicit,
     )
@@ -441,10 +425,9 @@ def require_solvable(label: str, system: EquationSystem) -> None:
     At a point in general position, where an accidental zero is all but impossible. J is scaled by
     columns and rows first: its rank must not depend on the units of unknowns and equations.
     """
-    for spring in system.springs:
-        which = spring.element.parameters[0]
-        if spring.element.is_linear and float(system.values[which]) == 0:
-            raise ModelError(f"{label} cannot be simulated: {which}, a spring in series, is zero.")
+    for why in (state.why_not(system.values) for state in system.attached):
+        if why:
+            raise ModelError(f"{label} cannot be simulated: {why}.")
     state: Any = np.random.default_rng(0).uniform(0.2, 0.9, len(system.states))
     level: Any = np.linspace(0.3, 0.7, len(system.inputs))
     unknowns = system.unknowns

@@ -3,14 +3,6 @@
 Equations stand in stages. A stage is a group of equations whose normal equations are added; what
 earlier stages found is known to later ones. The paper's three stages are `staged(...)` of three
 equations; its remark that all parameters may be estimated at once is `simultaneous(...)`.
-
-Unknown offsets and gains of sensors, as coefficients of the equations that read them.
-
-A sensor that shows `z = x + b` turns a term `k x` into `k z - k b`: a constant beside it. Where k
-is a known number the offset b itself is the coefficient; where k is estimated too, only the product
-`k b` is, in the unit of the equation. A sensor that shows `z = F / g` turns a known term `a F` into
-`g a z`, of the coefficient g. Either way the equations stay linear, and are those of the signals as
-measured: what is simulated of them is what the sensors would show.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,20 +14,13 @@ import equinox as eqx
 import numpy as np
 
 from riecjax import arrays as xp
+from riecjax.equations.element import Element
 from riecjax.equations.equation import Equation, first_stated, require_agreement
 from riecjax.equations.equation_system import EquationSystem, read_system
-from riecjax.equations.expressions import Expression, constant, relation_of, signals_read
-from riecjax.equations.hidden_elements import (
-    Expanded,
-    HiddenElement,
-    HiddenMode,
-    SeriesSpring,
-    force_elements,
-    why_no_element,
-)
-from riecjax.equations.memories import Memory
+from riecjax.equations.expanded import Expanded
+from riecjax.equations.expressions import Expression, relation_of
 from riecjax.equations.quantity import BY_EQUATIONS, FrozenDict, Machine, Quantity
-from riecjax.equations.term import AbstractTerm, Term
+from riecjax.equations.term import AbstractTerm
 from riecjax.errors import ModelError, refuse_unknown, require
 from riecjax.leaves import Leaf, PlainMethods, is_number
 from riecjax.records.record import Record
@@ -43,7 +28,6 @@ from riecjax.shows import Shown
 
 if TYPE_CHECKING:
     from riecjax.records.relations import Relation
-    from riecjax.settings import Elements
 
 
 AtRest: TypeAlias = Literal["mask", "keep"]
@@ -60,9 +44,7 @@ FIELDS = (
     ("derived", Mapping, "derived={'dx': 'x'}"),
     ("rates", Mapping, "rates={'x1': rx.difference('v_r', 'x3')}"),
     ("band", (tuple, list, type(None)), "band=(1.0, 10.0), in hertz"),
-    ("modes", (tuple, list), "modes=(rx.HiddenMode(on='x4'),)"),
-    ("springs", (tuple, list), "springs=(rx.SeriesSpring(of='c'),)"),
-    ("memories", (tuple, list), "memories=(memory,)"),
+    ("elements", (tuple, list), "elements=(rx.HiddenMode(on='x4'),)"),
 )
 """Fields of a model, what they may be, and what to write instead."""
 
@@ -70,7 +52,7 @@ FIELDS = (
 def _in_stages(given: "Sequence[Equation | Sequence[Equation]] | Equation | Model") -> Stages:
     """Stages as they are given: of an equation or a model, its own."""
     if isinstance(given, Model):
-        if given.has_hidden or given.memories or given.rates:
+        if given.elements or given.rates:
             raise ModelError("stages= takes equations: add what else the model has to the new one.")
         return given.stages
     write = "stages=rx.Equation(...), or rx.staged(*equations)"
@@ -106,9 +88,8 @@ class Model(PlainMethods, Shown, eqx.Module):
       its periods long (eq. 26) unless other lengths are asked for.
     - `written`: signals that a simulated recording holds; all by default.
     - `note`: something a user should know before using it.
-    - `modes`: oscillators that the equations leave out, see [`Model.with_modes`][]; `springs` in
-      series with force elements, see [`Model.with_series_springs`][]; `memories`, see
-      [`Model.with_memories`][]; `at_rest`, see [`AtRest`][riecjax.equations.AtRest].
+    - `elements`: what no term of the equations says, see [`Model.with_elements`][].
+    - `at_rest`: what is done where dry friction rests, see [`AtRest`][riecjax.equations.AtRest].
     """
 
     # Compared by identity, so that a jitted function can take one as static.
@@ -126,9 +107,7 @@ class Model(PlainMethods, Shown, eqx.Module):
     band: tuple[float, float] | None = eqx.field(static=True, default=None)
     written: tuple[str, ...] = eqx.field(static=True, default=())
     note: str = eqx.field(static=True, default="")
-    modes: tuple[HiddenMode, ...] = ()
-    springs: tuple[SeriesSpring, ...] = ()
-    memories: tuple[Memory, ...] = eqx.field(static=True, default=())
+    elements: tuple[Element, ...] = ()
     at_rest: AtRest = eqx.field(static=True, default="mask")
 
     def __post_init__(self) -> None:
@@ -150,43 +129,32 @@ class Model(PlainMethods, Shown, eqx.Module):
             if len({quantity.name for quantity in quantities}) < len(quantities):
                 raise ModelError(f"a name stands twice in {field_name}.")
         self.derived, self.rates = FrozenDict(self.derived), FrozenDict(self.rates)
-        for mode in self.modes:
-            require("a mode", mode, HiddenMode, "rx.HiddenMode(on='x4')")
-            if not any(mode.term_in(e) is not None for e in self.equations):
-                raise ModelError(
-                    f"a hidden mode on '{mode.on}' needs a term that accelerates it, such as "
-                    f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
-                )
-        self.modes = tuple(replace(mode, number=i) for i, mode in enumerate(self.modes))
+        meanings = self._joined()
         names = dict.fromkeys(name for equation in self.equations for name in equation.parameters)
-        taken: list[str] = []
-        for spring in self.springs:
-            require("a spring", spring, SeriesSpring, "rx.SeriesSpring(of='c')")
-            if spring.of in taken:
-                raise ModelError(f"'{spring.of}' has a spring in series already.")
-            every = [t for e in self.equations for t in e.terms if spring.of in t.parameters]
-            if not every:
-                raise ModelError(
-                    f"no equation has a coefficient '{spring.of}' that a spring could be in series "
-                    f"with; there are: {', '.join(names)}."
-                )
-            if any((t.of, t.derivative) != (every[0].of, every[0].derivative) for t in every):
-                raise ModelError(
-                    f"{spring.of} is of other signals in one term than in another, so that it is "
-                    f"no one element that a spring could be in series with."
-                )
-            if wrong := why_no_element(every[0], self.equations):
-                fitting = force_elements(self.equations, self.equations)
-                raise ModelError(
-                    f"'{spring.of}' {wrong}. A spring is in series with a damper, a term of a "
-                    f"velocity or a map of one: {', '.join(fitting) or 'no equation has any'}."
-                )
-            taken += every[0].parameters
-        self.springs = tuple(replace(spring, number=i) for i, spring in enumerate(self.springs))
         require_agreement(self.equations, self.parameters)
         units, listed = self.units, {quantity.name for quantity in self.parameters}
-        quantities = {name: Quantity(name, units[name], "") for name in names} | self._of_hidden
+        own = {name: Quantity(name, units[name], meanings.get(name, "")) for name in names}
+        quantities = own | self._of_hidden
         self.parameters += tuple(q for name, q in quantities.items() if name not in listed)
+
+    def _joined(self) -> dict[str, str]:
+        """Number elements that are new here, have the equations say of them what terms can, and
+        return what the coefficients mean that these add."""
+        elements, self.elements = self.elements, ()
+        units = {quantity.name: quantity.unit for quantity in self.signals}
+        meanings: dict[str, str] = {}
+        for element in elements:
+            require("an element", element, Element, "rx.HiddenMode(on='x4')")
+            if element.number is None:
+                element.require(self.equations, self.elements)
+                before = {name for equation in self.equations for name in equation.parameters}
+                self.stages = self.by_stage(partial(element.in_equation, units=units))
+                names = [name for equation in self.equations for name in equation.parameters]
+                meanings |= {name: element.meaning for name in names if name not in before}
+                alike = [other for other in self.elements if type(other) is type(element)]
+                element = replace(element, number=len(alike))
+            self.elements = (*self.elements, element)
+        return meanings
 
     @property
     def kinematics(self) -> "tuple[Relation, ...]":
@@ -210,36 +178,24 @@ class Model(PlainMethods, Shown, eqx.Module):
         """
         return replace(self, rates={**self.rates, **rates})
 
-    def with_modes(self, *modes: HiddenMode, values: Mapping[str, float] | None = None) -> "Model":
-        """The same model with oscillators that its equations leave out.
+    def with_elements(
+        self, *elements: Element, values: Mapping[str, float] | None = None
+    ) -> "Model":
+        """The same model with what no term of its equations says.
 
-        Their parameters join the model's, and it is simulated by its equations.
+        Such as [`HiddenMode`][], [`SeriesSpring`][], [`Backlash`][], hysteresis
+        ([`Dahl`][riecjax.elements.Dahl]), the unknown zero or gain of a sensor
+        ([`SensorZero`][riecjax.elements.SensorZero]), or a class of your own. Their parameters join
+        the model's, and it is simulated by its equations.
 
         **Arguments:** `values` of parameters to simulate with.
 
-        **Raises:** `ModelError` for a mode on a signal whose derivative no equation holds.
+        **Raises:** `ModelError` for an element that these equations cannot have.
         """
-        return replace(self, system=BY_EQUATIONS, modes=(*self.modes, *modes)).with_values(
-            values or {}
-        )
-
-    def with_series_springs(self, *springs: SeriesSpring) -> "Model":
-        """The same model with springs in series with force elements, see [`SeriesSpring`][].
-
-        Their stiffnesses join the model's parameters, and it is simulated by its equations.
-
-        **Raises:** `ModelError` for an element that no equation holds, that is no damper, that has
-        a spring, or that is of other signals in one term than in another.
-        """
-        return replace(self, system=BY_EQUATIONS, springs=(*self.springs, *springs))
-
-    def with_memories(self, *memories: Memory) -> "Model":
-        """The same equations, reading states of hysteresis as signals.
-
-        Recordings that lack them are given them from the velocities that drive them; simulations
-        carry them along.
-        """
-        return replace(self, memories=(*self.memories, *memories))
+        if not elements:
+            return self.with_values(values or {})
+        model = replace(self, system=BY_EQUATIONS, elements=(*self.elements, *elements))
+        return model.with_values(values or {})
 
     def with_values(self, values: Mapping[str, float]) -> "Model":
         """The same model with these values of parameters to simulate with.
@@ -259,7 +215,7 @@ class Model(PlainMethods, Shown, eqx.Module):
     def with_terms(
         self,
         added: Mapping[str, Sequence[AbstractTerm]],
-        memories: Sequence[Memory] = (),
+        elements: Sequence[Element] = (),
         values: Mapping[str, float] | None = None,
         meanings: Mapping[str, str] | None = None,
     ) -> "Model":
@@ -269,9 +225,9 @@ class Model(PlainMethods, Shown, eqx.Module):
         motion has a positive coefficient. Their coefficients join the model's parameters, and it is
         simulated by its equations.
 
-        **Arguments:** `added`, terms by the name of their equation; `memories`, states that they
-        read and recordings lack, see [`Model.with_memories`][]; `values` of parameters to simulate
-        with; `meanings` of those that are added.
+        **Arguments:** `added`, terms by the name of their equation; `elements` that they read, as
+        states that recordings lack; `values` of parameters to simulate with; `meanings` of those
+        that are added.
 
         **Raises:** `ModelError` for an equation that there is none of, and for a coefficient that
         the model has already or that is added twice.
@@ -298,118 +254,20 @@ class Model(PlainMethods, Shown, eqx.Module):
             own = added.get(next(rest), ())
             return (*equation.terms, *(-term if turned else term for term in own))
 
-        model = self.with_memories(*memories)._with_equations(
-            extended, lambda name: (meanings or {}).get(name, "")
+        model, named = self.with_elements(*elements), {q.name for q in self.parameters}
+        stages = model.by_stage(lambda equation: equation.of_terms(*extended(equation)))
+        model = replace(model, system=BY_EQUATIONS, stages=stages, written=())
+        parameters = tuple(
+            q if q.name in named else q._replace(meaning=(meanings or {}).get(q.name, q.meaning))
+            for q in model.parameters
         )
-        return replace(model, written=()).with_values(values or {})
+        return replace(model, parameters=parameters).with_values(values or {})
 
-    def with_sensor_errors(self, offsets: Sequence[str] = (), gains: Sequence[str] = ()) -> "Model":
-        """The same model with unknown offsets and gains of the sensors of these signals.
-
-        They join its parameters. What is simulated are its equations, and by them the signals as
-        these sensors show them. A derivative of a signal has no offset. Coefficients of an offset
-        are called `offset_SIGNAL`, in the signal's unit, where the term's own is known, else
-        `k_offset_SIGNAL`, that is k times it; of a gain `gain_SIGNAL`, by which readings are to be
-        multiplied.
-
-        **Raises:** `ModelError` where no equation has a term of the signal itself, or reads it in a
-        function; where it has a constant term already, from which no offset can be told apart; and
-        where a term whose sensor has a gain has a coefficient that is estimated too.
-        """
-        for what, signals in {"offsets": offsets, "gains": gains}.items():
-            require(what, signals, (tuple, list), f"{what}=['F']")
-        units = {quantity.name: quantity.unit for quantity in self.signals}
-
-        def terms(equation: Equation, signal: str, is_gain: bool) -> list[AbstractTerm]:
-            label = f"{'gain' if is_gain else 'offset'}_{signal}"
-            for term in equation.terms:
-                if signal in signals_read(term.of) and term.signal != signal:
-                    named = " and ".join(term.parameters) or "no coefficient"
-                    raise ModelError(
-                        f"{equation.name}: the term of {named} is a function of '{signal}', in "
-                        f"which an unknown offset or gain is no coefficient of its own; calibrate "
-                        f"that sensor."
-                    )
-            own = [term for term in equation.terms if term.signal == signal]
-            named = [term.name for term in own if term.name is not None]
-            if is_gain:
-                if named:
-                    raise ModelError(
-                        f"the gain of '{signal}' cannot be told apart from '{named[0]}', which "
-                        f"multiplies it: {named[0]} comes out multiplied by the gain."
-                    )
-                return [
-                    Term(label, t.of, derivative=t.derivative, measured=t.measured, sign=t.factor)
-                    if t.signal == signal
-                    else t
-                    for t in equation.terms
-                ]
-            if not (own := [term for term in own if not term.derivative]):
-                return [*equation.terms]
-            if taken := [n for t in equation.terms if t.of is constant for n in t.parameters]:
-                raise ModelError(
-                    f"{equation.name}: an offset of '{signal}' cannot be told apart from "
-                    f"'{taken[0]}', which is constant too; give {signal}'s offset, or leave that "
-                    f"term out."
-                )
-            if len(own) > 1:
-                raise ModelError(f"{equation.name} has several terms of '{signal}'; add them up.")
-            (term,), unit = own, units.get(signal) or str(own[0].unit)
-            if term.name is not None:
-                label, unit = f"{term.name}_{label}", equation.unit
-            return [*equation.terms, Term(label, constant, unit=unit, sign=-term.factor)]
-
-        model = self
-        for signal, is_gain in (*((s, False) for s in offsets), *((s, True) for s in gains)):
-            with_error = partial(terms, signal=signal, is_gain=is_gain)
-            before, model = model, model._with_equations(with_error, lambda _: "of a sensor")
-            if len(model.parameters) == len(before.parameters):
-                raise ModelError(
-                    f"no equation reads '{signal}', so that none tells of its gain."
-                    if is_gain
-                    else f"no equation has a term of '{signal}' itself, so that none tells of its "
-                    f"offset."
-                )
-        return model
-
-    def _with_equations(
-        self, terms: Callable[[Equation], Sequence[AbstractTerm]], meaning: Callable[[str], str]
-    ) -> "Model":
-        """Equations of other terms in their place, and what the parameters mean that these add."""
-        stages = self.by_stage(lambda equation: equation.of_terms(*terms(equation)))
-        after = replace(self, system=BY_EQUATIONS, stages=stages)
-        added = after.parameters[len(self.parameters) :]
-        meant = (q._replace(meaning=meaning(q.name)) for q in added)
-        return replace(after, parameters=(*self.parameters, *meant))
-
-    def with_elements(self, elements: "Elements") -> "Model":
-        """The same model with what it leaves out, and with what its sensors get wrong.
-
-        **Raises:** `ModelError` as the methods that add each, and for an unknown kind.
-        """
-        plain = {
-            "spring": elements.springs,
-            "offset": elements.offsets_of,
-            "gain": elements.gains_of,
-        }
-        asked = [("mode", signal, hertz) for signal, hertz in elements.modes]
-        asked += [(kind, signal, None) for kind, signals in plain.items() for signal in signals]
-        asked += elements.added
-        for kind, signal, hertz in asked:
-            if kind not in ("mode", *plain):
-                listed = ", ".join(("mode", *plain))
-                raise ModelError(f"there is no element '{kind}'; there are: {listed}.")
-            if kind in plain and hertz is not None:
-                raise ModelError(f"{kind}:{signal} is near no frequency: leave out ={hertz:g}.")
-        of_kind = {kind: [signal for each, signal, _ in asked if each == kind] for kind in plain}
-        offsets, gains = (tuple(dict.fromkeys(of_kind[kind])) for kind in ("offset", "gain"))
-        model = self.with_sensor_errors(offsets, gains)
-        model = model.solved_together() if elements.together else model
-        if modes := [HiddenMode(signal, hertz) for kind, signal, hertz in asked if kind == "mode"]:
-            model = model.with_modes(*modes)
-        if springs := of_kind["spring"]:
-            model = model.with_series_springs(*map(SeriesSpring, springs))
-        return model
+    def for_records(self, records: Sequence[Record]) -> "Model":
+        """The same model, what its elements leave open set as these records suggest."""
+        elements = tuple(element.for_records(records, self.equations) for element in self.elements)
+        unchanged = all(a is b for a, b in zip(elements, self.elements))
+        return self if unchanged else replace(self, elements=elements)
 
     def solved_together(self) -> "Model":
         """The same model with the equations of all stages in one, as by [`simultaneous`][]."""
@@ -477,13 +335,15 @@ class Model(PlainMethods, Shown, eqx.Module):
 
     @property
     def has_hidden(self) -> bool:
-        """Whether equations leave out modes or springs."""
-        return bool(self.modes or self.springs)
+        """Whether elements have parameters that are no coefficients of the equations."""
+        return bool(self.hidden)
 
     @property
-    def hidden(self) -> tuple[HiddenElement, ...]:
-        """What equations leave out: modes, and then springs."""
-        return (*self.modes, *self.springs)
+    def hidden(self) -> tuple[Element, ...]:
+        """Elements with parameters that are no coefficients, first those that change equations
+        most."""
+        hidden = [element for element in self.elements if element.hidden]
+        return tuple(sorted(hidden, key=lambda element: -element.order))
 
     @property
     def _of_hidden(self) -> dict[str, Quantity]:
@@ -497,7 +357,7 @@ class Model(PlainMethods, Shown, eqx.Module):
 
     @property
     def expanded(self) -> tuple[tuple[Expanded, ...], ...]:
-        """Each equation with modes and springs, linear in more columns than it has parameters."""
+        """Each equation with searched elements, linear in more columns than it has parameters."""
         return self.by_stage(lambda equation: Expanded.of(equation, self.hidden))
 
     @property
@@ -621,11 +481,11 @@ def equation_system(
     for name, number in numbers.items():
         if number.shape != ():
             raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
-    further: dict[str, Expression] = {memory.state: memory for memory in model.memories}
-    further |= model.rates if rates is None else rates
-    elements, listed = (model.modes, model.springs), (*model.signals, *model.inputs)
+    given = dict(model.rates if rates is None else rates)
+    listed = (*model.signals, *model.inputs)
+    elements = sorted(model.elements, key=lambda element: -element.order)
     return read_system(
-        label, model.equations, elements, numbers, further, inputs, listed, units or {}
+        label, model.equations, elements, numbers, given, inputs, listed, units or {}
     )
 
 

@@ -112,6 +112,23 @@ class AbstractTerm(PlainMethods, eqx.Module):
             f"functions(x), of samples x, with a row for each coefficient."
         )
 
+    def force(self, values: Sequence[Array], x: Float[Array, " n"]) -> Float[Array, " n"]:
+        """What a simulation has of it at samples x of its expression, but for the factor.
+
+        **Arguments:** `values` of its parameters, in their order; a class whose parameters are no
+        coefficients says here what it makes of them.
+        """
+        if self.basis is not None:
+            return self.basis.interpolate(xp.stack(values), x)
+        if len(values) > 1:
+            return xp.stack(values) @ self.functions(x)
+        return (values[0] if values else 1.0) * self.functions(x)[0]
+
+    @property
+    def unweighted(self) -> "AbstractTerm":
+        """The term itself, of one that weighs another."""
+        return self
+
     @property
     def name(self) -> str | None:
         """What the term is called: its coefficient, or how those of its family begin."""

@@ -1,7 +1,5 @@
 from .estimate import Search as Search
-from .evidence import ModeEvidence as ModeEvidence
-from .evidence import mode_evidence as mode_evidence
-from .hidden_modes import ModeMap as ModeMap
+from .evidence import element_evidence as element_evidence
 from .parameters import ParameterTable as ParameterTable
 from .parameters import plan_parameters as plan_parameters
 from .stages import Solution as Solution

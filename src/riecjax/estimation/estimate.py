@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from riecjax import arrays as xp
 from riecjax.arrays import hosted
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.equations.hidden_elements import SeriesSpring
 from riecjax.errors import ModelError
 from riecjax.estimation.parameters import (
     ParameterTable,
@@ -34,13 +33,6 @@ from riecjax.uncertainty.intervals import Uncertainty
 
 NOTABLE_INFLATION = 1.1
 """Factor on a standard error from which recordings are said to disagree."""
-TOLD_LAG = 8
-"""Standard errors from which on a lag is told from none, and its inverse has an interval.
-
-Of c / (1 + tau s) v = c v - c tau v' + c tau^2 v'' - ... a mass beside the damper takes up the
-second term, so that tau^2 is what is told of. Its error is 2 tau times tau's: 8 of these are 4 of
-its own.
-"""
 FEWEST_BLOCKS = 7
 """Blocks of time below which intervals are rough; ten stretches of twice the longest window may
 come out as no more."""
@@ -429,17 +421,12 @@ class Estimate(PlainMethods, Tabled, eqx.Module):
         sizes = np.concatenate([np.asarray(stage.relative_size) for stage in self.stages])
         low, high = self.intervals()
         yield from self._wide((high - low) / 2 * sizes > MATTERING_SHARE, "interval")
-        # Springs in series whose lag c / K is not told from none, and with it K from infinity.
-        springs = [isinstance(self.table[n].element, SeriesSpring) for n in self.parameters]
         errors_away = np.abs(self.theta) / self.standard_errors
-        yield from each_finding(
-            "series_spring_not_carried",
-            self.parameters,
-            springs & (errors_away < TOLD_LAG),
-            "the lag behind {name} is {errors_away:.2g} standard errors away from none: any "
-            "stiffer spring would do, whatever the interval says. Leave it out.",
-            errors_away=errors_away,
-        )
+        for name, away in zip(self.parameters, map(float, errors_away)):
+            part = self.table[name].element
+            if part is not None and part.absence is not None and away < part.absence.least:
+                message = part.absence.message.format(name=name, away=away)
+                yield Finding(part.absence.code, message, parameters=(name,))
         yield from self._negative_values()
         for name, equation in self.equations.items():
             if (share := float(equation.relative_rms)) > LARGE_RESIDUAL:

@@ -9,15 +9,15 @@ import numpy as np
 from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.criteria.criterion import Rows
+from riecjax.elements.catalogue import findings_of_elements
 from riecjax.equations.model import Model, as_model
 from riecjax.errors import ModelError
 from riecjax.estimation.constant_target import target_findings
 from riecjax.estimation.constraints import NONE, Bounds, Constraints, constrained_uncertainty
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import raise_if_nothing_to_fit, raise_if_refused
-from riecjax.estimation.hidden_modes import find_modes
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
-from riecjax.estimation.resting import at_rest_findings
+from riecjax.estimation.projection import find_shapes
 from riecjax.estimation.stages import (
     borne_out,
     level_covariance,
@@ -94,11 +94,11 @@ def identify(model: "Equation | Model", records: Records, settings: Identify) ->
         other = summed(asked._replace(model=model))
         return estimated(model, other, table, intervals, constraints)
 
-    resting = at_rest_findings(asked.model, asked.records, found, otherwise)
+    of_elements = findings_of_elements(asked.model, asked.records, found, otherwise)
     said = findings_of(
         recordings, lambda one: signals_read(asked.model, one.record, asked.criterion)
     )
-    doubts = (*said, *resting)
+    doubts = (*said, *of_elements)
     return dataclasses.replace(found, doubts=doubts) if doubts else found
 
 
@@ -154,7 +154,7 @@ def estimated(
     elif table.per_record:
         raise ModelError("per_record has no meaning yet for a model with hidden elements.")
     else:
-        modes, other = (find_modes(model, summary, table.known, rank) for rank in (0, 1))
+        modes, other = (find_shapes(model, summary, table.known, rank) for rank in (0, 1))
         (fit, totals), (beside, _) = (_solve(found.summary, *given) for found in (modes, other))
         # Which lengths tell most of hidden elements is a choice among nearly equals, and what the
         # model and its integrals leave out weighs differently in each. As in an average over models

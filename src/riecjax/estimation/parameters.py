@@ -9,6 +9,7 @@ Names are for readers: they are written here, and what a parameter is stands in 
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar, cast
 
 import equinox as eqx
@@ -16,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.arrays import is_concrete
-from riecjax.equations.hidden_elements import HiddenElement, HiddenMode, SeriesSpring
+from riecjax.equations.element import Absence, Part
 from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError, refuse_unknown, require
@@ -43,8 +44,8 @@ class Parameter(NamedTuple):
     """One parameter over all recordings.
 
     **Fields:** `name` that is shown; `local`, what the model calls it; `unit`; `recording`, the
-    number (from 0) of the only one that it is of, `None` where all share it; `element`, the
-    hidden mode or spring that it is one of, `None` of the equations' own; `meaning`, as of the
+    number (from 0) of the only one that it is of, `None` where all share it; `element`
+    that it is hidden in, `None` of the equations' own; `meaning`, as of the
     model's quantities.
     """
 
@@ -52,7 +53,7 @@ class Parameter(NamedTuple):
     local: str
     unit: str = ""
     recording: int | None = None
-    element: HiddenElement | None = None
+    element: Part | None = None
     meaning: str = ""
 
     @property
@@ -82,18 +83,19 @@ class ParameterTable(PlainMethods, eqx.Module):
         quantities: Sequence[Quantity],
         per_record: Collection[str],
         record_count: int,
-        elements: Iterable[HiddenElement],
+        parts: Mapping[str, Part] = MappingProxyType({}),
     ) -> "ParameterTable":
         """The table of a model's own parameters, nothing of which is known.
+
+        **Arguments:** `parts`, of which element a hidden parameter is one.
 
         **Raises:** `ModelError` for a name in `per_record` that the model does not have, and for a
         parameter that is already called as a recording's own one would be.
         """
         rows: list[Parameter] = []
         local = {quantity.name for quantity in quantities}
-        of_element = {name: element for element in elements for name in element.hidden}
         for name, unit, meaning, _ in quantities:
-            row = Parameter(name, name, unit, None, of_element.get(name), meaning)
+            row = Parameter(name, name, unit, None, parts.get(name), meaning)
             if name not in per_record:
                 rows.append(row)
                 continue
@@ -203,7 +205,7 @@ def values_in_recording(
     return {name: values[other] for name, other in shown.items() if other in values}
 
 
-TABLE_KINDS = ParameterTable, Parameter, HiddenMode, SeriesSpring
+TABLE_KINDS = ParameterTable, Parameter, Part, Absence
 """What a table is made of, beside names and numbers."""
 
 
@@ -228,7 +230,8 @@ def plan_parameters(
             )
     units, meanings = model.units, {q.name: q.meaning for q in model.parameters}
     quantities = [Quantity(name, units[name], meanings[name]) for name in model.parameter_names]
-    table = ParameterTable.of(quantities, per_record, record_count, model.hidden)
+    parts = {name: element.part for element in model.hidden for name in element.hidden}
+    table = ParameterTable.of(quantities, per_record, record_count, parts)
     table.require(known or {})
     require_numbers(known or {})
     # Values held fixed: the equations' own and the user's.

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from riecjax import Model
+from riecjax import Model, charts
+from riecjax.charts import Axis, Chart, Dots, Level, Line, Panel, in_rows, labelled
 from riecjax.criteria import AbstractCriterion
 from riecjax.extensions import require_packages
 from riecjax.findings import in_percent
@@ -25,7 +26,6 @@ from riecjax.reporting import (
     Section,
     Table,
     View,
-    charts,
     in_rich,
     number,
     print_table,
@@ -33,7 +33,6 @@ from riecjax.reporting import (
     say,
     versions,
 )
-from riecjax.reporting.charts import Axis, Chart, Dots, Level, Line, Panel, in_rows, labelled
 from riecjax.shows import Shown
 
 LISTED = 50

@@ -17,6 +17,7 @@ from riecjax.whole_files import no_file
 
 if TYPE_CHECKING:
     from riecjax.equations.model import Model
+    from riecjax.settings import Elements
 
 _ROAD = (Quantity("v_r", "m/s", "road velocity, downwards positive"),)
 _QUARTER_CAR_COLUMNS = ("v_r", "x1", "x2", "x3", "x4", "dx3", "dx4", "F_t")
@@ -350,3 +351,28 @@ def _neighbours(path: Path) -> Iterator[None]:
         for name in new:
             if name.partition(".")[0] in beside:
                 del sys.modules[name]
+
+
+# What is added to a model on the command line.
+
+
+def with_asked(model: "Model", elements: "Elements") -> "Model":
+    """The model with the elements that settings add to it.
+
+    **Raises:** `ModelError` as each element does, and for an unknown kind.
+    """
+    from riecjax.elements.catalogue import as_element_class, element_class
+
+    asked: list[tuple[str, str, float | None]] = [("zero", of, None) for of in elements.offsets_of]
+    asked += [("gain", signal, None) for signal in elements.gains_of]
+    asked += [("mode", signal, hertz) for signal, hertz in elements.modes]
+    asked += [("spring", coefficient, None) for coefficient in elements.springs]
+    asked += elements.added
+    added = []
+    for kind, place, near in asked:
+        of = as_element_class(kind, object_of_file(kind)) if ".py" in kind else element_class(kind)
+        added.append(of.at(place, near))
+    # A sensor has one zero and one gain, however often it is asked for.
+    once = dict.fromkeys(one for one in added if not one.coordinates)
+    model = model.with_elements(*once, *(one for one in added if one.coordinates))
+    return model.solved_together() if elements.together else model

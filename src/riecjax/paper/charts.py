@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from riecjax import Boxcar
+from riecjax import Boxcar, charts
+from riecjax.charts import Axis, Chart, Dashes, Dots, HeatMap, Level, Line, Panel, single
 from riecjax.equations import RoofFunctions
 from riecjax.models.quarter_car import (
     BREAK_POINTS,
@@ -20,8 +21,6 @@ from riecjax.paper import reproduction
 from riecjax.paper.claims import BETWEEN, FIXED, SHOWN, TWO
 from riecjax.paper.published import CRITERIA, TABLE_2, TABLE_6, VARIANTS
 from riecjax.paper.tables import number_tables
-from riecjax.reporting import charts
-from riecjax.reporting.charts import Axis, Chart, Dashes, Dots, HeatMap, Level, Line, Panel, single
 from riecjax.simulation import pothole
 
 Style = tuple[str, Dashes]

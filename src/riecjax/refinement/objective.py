@@ -30,6 +30,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from riecjax import arrays as xp
+from riecjax.equations.element import Part
 from riecjax.equations.equation import Equation
 from riecjax.equations.equation_system import EquationSystem
 from riecjax.equations.model import Model, as_model, equation_system, require_no_slip
@@ -312,19 +313,19 @@ class AbstractObjective(eqx.Module):
             units |= {n: unit for n, unit in model.unit_pairs if unit or n not in units}
             defaults |= model.defaults
         carried: Mapping[str, float | Array] = {}
-        elements: list[Any] = []
+        parts: dict[str, Part] = {}
         if isinstance(start, Estimate):
             rows = start.table.rows
             if not names:
                 units |= {name: row.unit for row in rows for name in (row.name, row.local)}
-            elements = [row.element for row in rows if row.element is not None]
+            parts = {row.local: row.element for row in rows if row.element is not None}
             carried, per_record = start.known, per_record or start.table.per_record
             start = {name: start.single()[name] for name in start.parameters}
         numbered = {name_in_recording(n, i): n for n in per_record for i in range(len(records))}
         given = {**start, **carried, **known}
         local = names or tuple(dict.fromkeys(numbered.get(name, name) for name in given))
         quantities = [Quantity(name, units.get(name, ""), "") for name in local]
-        table = ParameterTable.of(quantities, per_record, len(records), elements)
+        table = ParameterTable.of(quantities, per_record, len(records), parts)
         table.require(given)
         require_numbers(known)
         begun, fixed = table.values(start), {**table.values(carried), **table.values(known)}

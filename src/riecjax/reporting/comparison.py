@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from riecjax.charts import Chart
 from riecjax.errors import ModelError
 from riecjax.extensions import require_packages
 from riecjax.reporting.answer import Answer, Fit, Known, Parameter, part_of
-from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.plots import relative_figure
 from riecjax.reporting.tables import Table, View, with_error
 from riecjax.shows import Drawn

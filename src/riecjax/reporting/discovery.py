@@ -10,13 +10,13 @@ import numpy as np
 from msgspec import UNSET
 from rich.console import Console
 
+from riecjax.charts import BLUE, GREY, Axis, Chart, Line, Panel, in_rows
 from riecjax.discovery import Discovery, Step
-from riecjax.equations.hidden_elements import HiddenMode, accelerated
+from riecjax.elements.catalogue import discovered_kinds
 from riecjax.findings import in_percent, joined, option_for
 from riecjax.leaves import finite
 from riecjax.reporting import Page, Section, Table, View, in_rich, print_table, say
 from riecjax.reporting.answer import Answer, part_of
-from riecjax.reporting.charts.chart import BLUE, GREY, Axis, Chart, Line, Panel, in_rows
 from riecjax.reporting.document import (
     SCHEMA,
     Document,
@@ -52,9 +52,9 @@ def discovery_document(
         }
         for chosen in found.chosen
     }
-    if found.mode is not None:  # as one of the terms that were found
-        (equation,), meaning = found.paths, _mode_in_words(found.mode)
-        names = found.mode.parameters
+    if found.element is not None:  # as one of the terms that were found
+        (equation,), meaning = found.paths, found.element.described
+        names = found.element.hidden
         terms["mode"] = {"meaning": meaning, "equation": equation, "parameters": names}
         terms["mode"] |= dict(zip(widths, (None, "", None, None)))
     answer = parameters_of(found)
@@ -100,18 +100,18 @@ def parameters_of(found: Discovery) -> Answer:
 
 def equation_of(found: Discovery) -> str:
     """The equations of motion that were found."""
-    mode = [] if found.mode is None else [f"with {_mode_in_words(found.mode)}"]
+    mode = [] if found.element is None else [f"with {found.element.described}"]
     return "; ".join([*map(equation_in_words, found.model.equations), *mode])
 
 
 def sentence(found: Discovery) -> str:
     """What was found, in a sentence or two of plain English."""
-    if not found.offered and found.mode is None:
+    if not found.offered and found.element is None:
         return "No candidate could be told apart from the model's own terms."
     chosen = [(one.candidate.name, one.candidate.meaning) for one in found.chosen]
     names = [f"{name} ({meaning})" if meaning else name for name, meaning in chosen]
-    if found.mode is not None:
-        names.append(f"mode ({_mode_in_words(found.mode)})")
+    if found.element is not None:
+        names.append(f"{found.element.kind} ({found.element.described})")
     if not names:
         first = next(iter(found.paths.values()))[0]
         what = "No candidate is missing" if found.leaves_more else "No term is missing"
@@ -122,7 +122,7 @@ def sentence(found: Discovery) -> str:
             f"unexplained{_noise(first)}.{_something_else(found)}{_late(found)}"
         )
     ends = [(name, of[0], of[-1]) for name, of in found.paths.items() if len(of) > 1]
-    several = len(found.paths) > 1 or found.mode is not None
+    several = len(found.paths) > 1 or found.element is not None
     said = "; ".join(
         f"{percent(after.unexplained)} of the target's energy{where} is unexplained instead of "
         f"{percent(before.unexplained)}{_noise(after)}"
@@ -142,22 +142,28 @@ def sentence(found: Discovery) -> str:
     return f"{joined(names)} {verb} missing: with {them} {said}.{further}"
 
 
-def _mode_in_words(mode: HiddenMode) -> str:
-    return f"a hidden mode on {mode.on} near {mode.hz:.3g} Hz"
-
-
 def _something_else(found: Discovery) -> str:
     """Where what is left is more than noise, that no candidate is what is missing."""
-    beside = "" if found.mode is None or found.chosen else " No terms were looked for beside it."
+    beside = "" if found.element is None or found.chosen else " No terms were looked for beside it."
     if not found.leaves_more:
         return beside
     left = " Most of what is left is no noise: something that is no candidate is missing"
-    bodies = {on: "" for e in found.model.equations for on in accelerated(e)}
-    if found.mode is not None:
+    equations = found.model.equations
+    ways = {
+        place: kind
+        for kind in discovered_kinds()
+        for equation in equations
+        for place in kind.places(equation, equations)
+    }
+    if found.element is not None:
         return f"{left} too.{beside} Add terms to the model by hand."
-    if not bodies:
+    if not ways:
         return f"{left}; no equation holds an inertia."
-    return f"{left}, such as a mode beside terms (identify with --add-mode {' or '.join(bodies)})."
+    kind = next(iter(ways.values()))
+    return (
+        f"{left}, such as a {kind.kind} beside terms (identify with {kind.option()} "
+        f"{' or '.join(ways)})."
+    )
 
 
 def _late(found: Discovery) -> str:
@@ -201,7 +207,7 @@ def path_table(found: Discovery) -> Table:
     note = (
         "Share of the target's energy in blocks of time that coefficients were not fitted to; "
         "chance: that any one of all candidates stands out as much and explains nothing."
-        if found.mode is None
+        if found.element is None
         else "Share of the target's energy, by the windows of each fit."
     )
     table = Table.of("equation", path, cells, "Terms one by one", note)
@@ -238,9 +244,9 @@ def choice_lines(found: Discovery) -> list[str]:
             f"Terms were chosen without the last {in_percent(found.held_out, '.0f')} of each "
             f"recording, from which alone values and intervals are."
         )
-    elif again and found.mode is None:
+    elif again and found.element is None:
         choice = f"Standard errors include the choice; in data drawn again it fell on {again}."
-    elif found.chosen or found.mode is not None:
+    elif found.chosen or found.element is not None:
         choice = "Intervals take the choice of terms for given."
     return [*filter(None, (f"{'; '.join(widths)}." if widths else "", choice))]
 

@@ -34,11 +34,7 @@ def model_in_words(model: Model) -> list[str]:
     for i, (stage, names) in enumerate(zip(model.stages, model.equation_names)):
         number = f"{i + 1}. " if len(model.stages) > 1 else ""
         lines += [f"{number}{name}: {equation_in_words(one)}" for name, one in zip(names, stage)]
-    for mode in model.modes:
-        near = "" if mode.hz is None else f", near {mode.hz:g} Hz"
-        lines.append(f"with a hidden mode on {mode.on}{near}")
-    lines += [f"with a spring in series with {spring.of}" for spring in model.springs]
-    return lines
+    return [*lines, *(f"with {element.described}" for element in model.elements)]
 
 
 def parameters_in_words(names: Iterable[str], units: dict[str, str]) -> str:

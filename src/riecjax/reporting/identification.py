@@ -265,3 +265,10 @@ WORDS: dict[str, Callable[[Any], Iterable[str]]] = {
     ],
 }
 """What is said of each part of an answer that has more to say than a number, in this order."""
+
+
+def evidence_in_words(test: str, entry: Mapping[str, Any]) -> list[str]:
+    """What is said of an element's evidence, by the name of its test."""
+    if test == "modes":
+        return [*modes_in_words([parts.read(parts.ModePart, entry)])]
+    return [*WORDS["tests"]({test: entry})]

@@ -12,10 +12,10 @@ import click
 import msgspec
 from rich.console import Console
 
+from riecjax.charts import Chart
 from riecjax.errors import DataError
 from riecjax.extensions import require_packages
 from riecjax.leaves import finite
-from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.document import Document, sealed
 from riecjax.reporting.page import Page, render
 from riecjax.standard_output import answer
@@ -93,7 +93,7 @@ def write_folder(
     **Raises:** `DataError` if the folder cannot be written, or without a package for reports.
     """
     require_packages("report")
-    from riecjax.reporting.charts.printed import print_chart
+    from riecjax.reporting.printed import print_chart
 
     with _folder_beside(folder) as made:
         pictures = {name: made / f"{name}.png" for name in charts}

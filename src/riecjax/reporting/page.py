@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from riecjax.charts import Chart
 from riecjax.reporting import Document, Table
-from riecjax.reporting.charts.chart import Chart
-from riecjax.reporting.charts.interactive import Spaces, interactive
+from riecjax.reporting.interactive import Spaces, interactive
 
 SCREEN_INCH = 100
 """Pixels to an inch of the printed figure, at most, so that a small figure stays small."""

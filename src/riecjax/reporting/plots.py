@@ -9,11 +9,7 @@ import numpy as np
 
 from riecjax.arrays import hosted
 from riecjax.assessment.assess import Assessment
-from riecjax.estimation.estimate import Estimate
-from riecjax.records.record import Record
-from riecjax.records.recording import Recording
-from riecjax.reporting.answer import Answer, part_of
-from riecjax.reporting.charts.chart import (
+from riecjax.charts import (
     BOLD,
     LARGE,
     SERIES,
@@ -28,6 +24,10 @@ from riecjax.reporting.charts.chart import (
     labelled,
     single,
 )
+from riecjax.estimation.estimate import Estimate
+from riecjax.records.record import Record
+from riecjax.records.recording import Recording
+from riecjax.reporting.answer import Answer, part_of
 from riecjax.reporting.result_figures import (
     identification_figures,
     over_time,
@@ -41,7 +41,7 @@ FARTHEST = 100.0
 
 @draw.register
 def _(chart: Chart, ax: Any = None) -> Any:
-    from riecjax.reporting.charts.printed import drawn
+    from riecjax.reporting.printed import drawn
 
     return drawn(chart, ax)
 

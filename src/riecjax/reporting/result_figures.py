@@ -12,15 +12,7 @@ from jaxtyping import Float
 
 from riecjax.assessment.assess import Assessment
 from riecjax.assessment.refining import Validations
-from riecjax.criteria.criterion import DOLS
-from riecjax.equations.term import AbstractTerm, evaluate
-from riecjax.errors import DataError
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.evidence import ModeEvidence, ModeTests
-from riecjax.estimation.hidden_modes import linearised
-from riecjax.findings import in_percent
-from riecjax.leaves import TINY
-from riecjax.reporting.charts.chart import (
+from riecjax.charts import (
     BLACK,
     BLUE,
     BOLD,
@@ -40,6 +32,14 @@ from riecjax.reporting.charts.chart import (
     labelled,
     single,
 )
+from riecjax.criteria.criterion import DOLS
+from riecjax.elements.evidence import ElementTests, chart_of_all
+from riecjax.equations.term import AbstractTerm, evaluate
+from riecjax.errors import DataError
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.projection import linearised
+from riecjax.findings import in_percent
+from riecjax.leaves import TINY
 from riecjax.shows import chart_of
 from riecjax.validation import HeldOut, ResidualTests, WindowSweep
 from riecjax.validation.residuals import EquationResidual
@@ -48,8 +48,6 @@ if TYPE_CHECKING:
     from riecjax.equations.equation import Equation
     from riecjax.records.record import Record
 
-LOWEST = 0.3
-"""Where nothing is left, beside the least that is, on a logarithmic axis."""
 MOST_POINTS = 4000
 """Samples or windows of a panel that are drawn."""
 NORMAL_95 = 1.96
@@ -73,8 +71,8 @@ def identification_figures(result: Assessment) -> dict[str, Chart]:
 def figures_of(test: Any, estimate: Estimate) -> dict[str, Chart]:
     """Figures of a test of an estimate by their names: one by the test's, if it has a chart."""
     match test:
-        case ModeTests():
-            return {"mode_map": mode_map_figure(test.modes)}
+        case ElementTests():
+            return {test.evidence[0].figure or test.name: chart_of_all(test.evidence)}
         case WindowSweep():
             return {test.name: sweep_figure(test, estimate)}
         case ResidualTests():
@@ -125,40 +123,6 @@ def correlation_figure(estimate: Estimate) -> Chart:
         Axis(categories=names, reverse=True),
         "Correlation of the estimates: parameters near 1 or -1 are known better in combination "
         "than each by itself.",
-    )
-
-
-chart_of.register(ModeEvidence, lambda mode: mode_map_figure([mode]))
-
-
-def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
-    """What a mode at each frequency leaves of its equation, and what is left without one."""
-    rows = []
-    for mode in modes:
-        frequency = np.asarray(mode.map.frequency)
-        left = np.asarray(mode.map.unexplained)
-        # Where no mode fits there is no best damping either, which the other share depends on.
-        fits = np.isfinite(left)
-        # A logarithmic axis has no room for nothing.
-        floor = LOWEST * np.min(left, where=left > 0, initial=1.0)
-        shown = np.where(fits, np.maximum(left, floor), np.nan)
-        without = np.where(fits, np.asarray(mode.map.without), np.nan)
-        marks = [
-            Line(frequency, without, "without a mode", GREY),
-            Line(frequency, shown, "with a mode there", RUST, markers=True),
-            Level(mode.frequency[0], "x", "the mode found", BLUE, "dashed"),
-        ]
-        share = Axis(f"share of {mode.stage} unexplained", log=True)
-        rows.append([Panel(marks, Axis("frequency of the mode / Hz", log=True), share)])
-    return Chart(
-        rows,
-        "The mode map: of each frequency that a hidden mode could have, the share of the target's "
-        "energy that the equation then leaves, at the best mass and the best damping ratio from "
-        "0.02 to 0.8. Both shares are of the equation multiplied by that mode's own polynomial, "
-        "so that the share without a mode, too, depends on its frequency and damping; where the "
-        "best damping jumps from one value to another, it has a step. Gaps are frequencies at "
-        "which only a negative mass would fit; at the lowest points noise accounts for all.",
-        legend=True,
     )
 
 

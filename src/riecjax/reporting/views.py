@@ -9,9 +9,9 @@ import numpy as np
 from riecjax.arrays import are_traced, hosted
 from riecjax.assessment.assess import Assessment
 from riecjax.assessment.verdict import Verdict, percent
+from riecjax.elements.evidence import Evidence
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import OWN, Model
-from riecjax.estimation import ModeEvidence
 from riecjax.estimation.estimate import Estimate, span
 from riecjax.findings import Step
 from riecjax.records.record import Record
@@ -19,7 +19,6 @@ from riecjax.records.recording import Recording
 from riecjax.reporting.answer import (
     Answer,
     HeldOutPart,
-    ModePart,
     ResidualTest,
     answer_of,
     next_steps,
@@ -35,8 +34,8 @@ from riecjax.reporting.equations import (
 )
 from riecjax.reporting.identification import (
     criterion_in_words,
+    evidence_in_words,
     fits_in_words,
-    modes_in_words,
     reasons_in_words,
     words_of,
 )
@@ -130,8 +129,8 @@ def _(thing: Recording) -> View:
 
 
 @shown_if_known
-def _(thing: ModeEvidence) -> View:
-    words = modes_in_words([read(ModePart, thing.entry())])
+def _(thing: Evidence) -> View:
+    words = evidence_in_words(thing.test, thing.entry())
     carried = f"{'carried' if thing.carried else 'not carried'} by the recordings"
     return View(f"{thing.parameters[0]}, {carried}", lines=[*words, *thing.findings()])
 

@@ -185,8 +185,7 @@ class Recordings(Prepare, Read):
 class Elements(Settings):
     """What a model leaves out, and what its sensors get wrong.
 
-    In Python a model has methods for it: `with_modes`, `with_series_springs`,
-    `with_sensor_errors`.
+    In Python `model.with_elements(...)` adds it.
     """
 
     modes: Sequence[tuple[str, float | None]] = many("--add-mode SIGNAL[=HZ]", PLACE)
@@ -200,8 +199,9 @@ class Elements(Settings):
     gains_of: Sequence[str] = many("--unknown-gain SIGNAL", TEXT)
     """Estimate the factor by which this signal's readings are to be multiplied."""
     added: Sequence[tuple[str, str, float | None]] = many("--add KIND:SIGNAL[=HZ]", ELEMENT)
-    """Add an element of this kind: mode, spring, offset or gain, as the options of these names
-    do."""
+    """Add an element of this kind: mode, spring, zero or gain, as the options above do; backlash,
+    of the coefficient of a spring; one that another package brings, or FILE.py:CLASS of your own.
+    A number is that near which it is looked for, hertz of a mode, play of backlash."""
     together: bool = flag("--together")
     """Solve the equations of all stages at once, for the parameters that they share."""
 

@@ -154,7 +154,7 @@ PLACE = parts(("x", None), "SIGNAL[=HZ]", SIGNAL, "{}={}", TEXT, POSITIVE)
 ELEMENT = parts(
     ("mode", "x", None),
     "KIND:SIGNAL[=HZ]",
-    r"([^:]*[^:\s])\s*:\s*" + SIGNAL,
+    r"((?:.*\.py\s*:)?[^:]*[^:\s])\s*:\s*" + SIGNAL,
     "{}:{}={}",
     *(TEXT, TEXT, POSITIVE),
 )

@@ -34,7 +34,6 @@ from riecjax.criteria.windows import (
     law_in_bins,
     power_of_two,
 )
-from riecjax.equations.dry_friction import InMotion
 from riecjax.equations.equation import Equation, mixing_expressions
 from riecjax.equations.expressions import evaluate
 from riecjax.equations.model import Model
@@ -185,8 +184,7 @@ def _surveyed(
     by_finest = values if finer is criterion else rows(finer, clean)[0]
     every = np.stack([values, by_finest, rows(criterion, noise - plain)[0]], axis=-2)
     reaches = {}
-    for term in equation.terms:
-        term = term.term if isinstance(term, InMotion) else term
+    for term in (term.unweighted for term in equation.terms):
         if term.basis is not None:
             argument = evaluate(term.of, record).values
             reaches[str(term.name)] = np.array([argument.min(), argument.max()])

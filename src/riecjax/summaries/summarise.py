@@ -16,9 +16,8 @@ from riecjax.arrays import is_concrete
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for, suited, with_less_noise, with_velocities
 from riecjax.criteria.windows import LengthBins
-from riecjax.equations.dry_friction import in_motion
+from riecjax.elements.catalogue import trusted, with_states
 from riecjax.equations.equation import Equation
-from riecjax.equations.memories import with_memories
 from riecjax.equations.model import AtRest, Model, as_model, with_rests
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
 from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
@@ -78,8 +77,8 @@ def task(
 
     **Raises:** `ModelError` and `DataError` as [`identify`][].
     """
-    model = with_rests(as_model(model), at_rest)
     plain = [each.record for each in recordings]
+    model = with_rests(as_model(model), at_rest).for_records(plain)
     criterion = criterion_for(criterion, model, plain)
     _require_derivatives(model, criterion)
     require_key(key)
@@ -107,12 +106,12 @@ def task(
 
 def _require_derivatives(model: Model, criterion: AbstractCriterion) -> None:
     """Raise `ModelError` unless a criterion takes off what hidden elements put before terms."""
-    if not model.has_hidden:
+    if not any(element.order for element in model.hidden):
         return
     most = max(t.derivative for stage in model.linear.stages for e in stage for t in e.terms)
     if criterion.smoothness < most or criterion.all_windows is None:
         raise ModelError(
-            f"hidden modes and springs need all windows of a test function that takes {most} "
+            f"hidden elements need all windows of a test function that takes {most} "
             f"derivatives off: leave the criterion out, or give rx.RIEC.of_band((low, high), "
             f"rx.criteria.GradedBump(derivatives={most})), low and high in hertz (on the command "
             f"line: leave out --test-function, --quadrature, --windows and --criterion; --band, "
@@ -123,21 +122,11 @@ def _require_derivatives(model: Model, criterion: AbstractCriterion) -> None:
 def ready(model: Model, records: Records, noise: GivenNoise = "auto") -> list[Recording]:
     """Recordings with the velocities that only functions read, and with their noise judged.
 
-    **Raises:** `ModelError` for springs of which no sums tell; `DataError` for a batch of records,
+    **Raises:** `ModelError` for elements of which no sums tell; `DataError` for a batch of records,
     and for a signal in another unit than the model reads it in, or an earlier record has it in.
     """
-    if maps := [
-        f"'{spring.of}'"
-        for spring in model.springs
-        if any((t := spring.term_in(e)) and not t.is_linear for e in model.equations)
-    ]:
-        raise ModelError(
-            f"a spring in series with the map of {', '.join(maps)} makes the model nonlinear in "
-            f"its parameters: identify it without (on the command line: without --add-spring), and "
-            f"refine it from there, in Python: rx.refine(model, record, "
-            f"{{**estimate.values, 'K_series': stiff}}, rx.OutputError())."
-        )
-
+    for element in model.hidden:
+        element.require_linear(model.equations)
     units = {signal.name: signal.unit for signal in model.signals if signal.unit}
 
     def of(recording: Recording) -> Recording:
@@ -160,7 +149,7 @@ def ready(model: Model, records: Records, noise: GivenNoise = "auto") -> list[Re
             known = {**record.noise.kernels, **given_noise(noise, record.arrays).kernels}
             record = judged(record, noise)
             record, found = without_computed(record, model.derivatives, known)
-            record = with_memories(record, model.memories)
+            record = with_states(model, record)
         return replace(recording, record=record, steps=(*recording.steps, *steps, *found))
 
     return [of(recording) for recording in as_recordings(records)]
@@ -285,7 +274,7 @@ def summed(
     edges, band = (None, (0, 1)) if kept_apart is None else kept_apart
 
     def sums(record: Record, key: Key[Array, ""] | None) -> RecordingSums:
-        read = with_less_noise(in_motion(model, record), record, criterion)
+        read = with_less_noise(trusted(model, record), record, criterion)
         apart = own is not None
         return recording_sums(read, record, criterion, key, kept_apart, survey, starts, apart)
 

@@ -23,9 +23,8 @@ from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import WindowSet
-from riecjax.equations.dry_friction import in_motion
+from riecjax.elements.catalogue import trusted, with_states
 from riecjax.equations.equation import Equation
-from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model, as_model
 from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.errors import DataError, ModelError
@@ -113,9 +112,9 @@ def equation_error(
     record, values = xp.hosted((record, dict(values)), double=True)
     given = {name: xp.asarray(values[name]) for name in model.parameter_names}
     if model.has_hidden:
-        from riecjax.equations.hidden_motion import with_hidden_motion
+        from riecjax.equations.element_motion import with_element_motion
 
-        model, record = with_hidden_motion(model, record, given)
+        model, record = with_element_motion(model, record, given)
     errors = []
     for equation in model.equations:
         # The boxcar, if the record holds every derivative that it needs.
@@ -161,11 +160,11 @@ def errors_over_records(
     **Raises:** as [`equation_error`][].
     """
     model = as_model(model)
-    records = [with_memories(record, model.memories) for record in records]
+    records = [with_states(model, record) for record in records]
     parts = []
     for index, record in enumerate(records):
         own = values_in_recording(model.parameter_names, values, index)
-        parts.append(equation_error(in_motion(model, record), record, own))
+        parts.append(equation_error(trusted(model, record), record, own))
     return [list(of_equation) for of_equation in zip(*parts)]
 
 

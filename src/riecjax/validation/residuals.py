@@ -20,9 +20,9 @@ from jaxtyping import Array, Float
 
 from riecjax import tails
 from riecjax.criteria.windows import AbstractWindows
+from riecjax.elements.catalogue import lacked, with_states
+from riecjax.equations.element import Element
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_elements import accelerated, force_elements
-from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model, as_model, told_apart
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
@@ -346,10 +346,7 @@ class EquationResidual(NamedTuple):
     - `spectrum`, and its `peak` if there is a genuine one.
     - `windows`: eq. (18) on these records; `None` for a criterion without windows, or records too
       short for four of the longest.
-    - `bodies`: signals on which the equation could hide a mode: those that it accelerates; and
-      those of `carrying` that carry one in the model.
-    - `dampers`: coefficients with which a spring that the model lacks could be in series, and
-      the first ones of `maps` of which that may be said.
+    - `lacking`: an element that the equation may leave out, and whether sums would tell of it.
     - `parameters` of the equation that no earlier stage has found.
     - `explained`: whether causes of what is left were weighed, and found, a fault of a sensor
       explains it, or windows let nothing of it through: then a peak of its spectrum says no more.
@@ -360,10 +357,7 @@ class EquationResidual(NamedTuple):
     spectrum: ErrorSpectrum
     peak: Peak | None
     windows: WindowErrors | None
-    bodies: tuple[str, ...] = ()
-    carrying: tuple[str, ...] = ()
-    dampers: tuple[str, ...] = ()
-    maps: tuple[str, ...] = ()
+    lacking: tuple[Element, bool] | None = None
     parameters: tuple[str, ...] = ()
     explained: bool = False
 
@@ -391,22 +385,14 @@ class EquationResidual(NamedTuple):
         return [finding._replace(parameters=self.parameters) for finding in found]
 
     def _to_add(self) -> tuple[str, tuple[str, ...], str]:
-        """What the model may lack, in words, as options of `riecjax identify`, and in Python.
-
-        Beside a mode a force may follow late, by a spring in series with its damper.
-        """
-        if self.bodies and not self.carrying:
-            body = self.bodies[-1]
-            words = f"Find the mode on {body} that the model leaves out"
-            return words, ("--add-mode", body), f"rx.HiddenMode('{body}')"
-        words = "Find a spring in series with a damper, which the model leaves out"
-        if self.dampers:
-            options = ("--add-spring", self.dampers[0])
-            return words, options, f"rx.SeriesSpring('{self.dampers[0]}')"
-        if self.maps:
-            spring = f"rx.SeriesSpring('{self.maps[0]}')"
-            return words, (), f"model.with_series_springs({spring}), then rx.refine"
-        return "", (), ""
+        """What the model may lack, in words, as options of `riecjax identify`, and in Python."""
+        if self.lacking is None:
+            return "", (), ""
+        element, by_sums = self.lacking
+        source = element.source.replace('"', "'")
+        if not by_sums:
+            return element.to_find, (), f"model.with_elements({source}), then rx.refine"
+        return element.to_find, (element.option(), element.place), source
 
     def _uneven(self) -> Iterator[Finding]:
         errors = self.windows
@@ -488,7 +474,7 @@ def residual_tests(
     records of unequal time steps or too short ones.
     """
     model = as_model(model)
-    recordings = [with_memories(record, model.memories) for record in as_records(records)]
+    recordings = [with_states(model, record) for record in as_records(records)]
     steps = [float(record.time_step) for record in recordings]
     if not np.allclose(steps, steps[0], rtol=1e-6):
         listed = ", ".join(f"{step:.4g}" for step in dict.fromkeys(steps))
@@ -514,20 +500,15 @@ def residual_tests(
         spectrum = error_spectrum(error)
         peak, own = spectrum.peak(), {*equation.parameters} - earlier
         earlier |= own
-        # Where the equation could hide something.
-        sprung = {spring.of for spring in model.springs}
-        elements = force_elements(model.equations, [equation])
-        free = {name: t for name, t in elements.items() if not sprung & {*t.parameters}}
+        lacking = lacked(model, equation)
+        term = None if lacking is None else lacking.term_in(equation)
         residual = EquationResidual(
             name,
             error,
             spectrum,
             peak,
             None if windows is None else window_errors(of_equation, windows),
-            bodies=accelerated(equation),
-            carrying=tuple(m.on for m in model.modes if m.term_in(equation) is not None),
-            dampers=tuple(name for name, term in free.items() if term.is_linear),
-            maps=tuple(name for name, term in free.items() if not term.is_linear),
+            lacking=None if lacking is None or term is None else (lacking, term.is_linear),
             parameters=tuple(name for name in equation.parameters if name in own),
             explained=(weighed and not own.isdisjoint(concerned))
             or not faulty.isdisjoint(read)

@@ -12,8 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from riecjax.errors import DataError
-from riecjax.reporting.charts.chart import (
+from riecjax.charts import (
     PLAIN,
     Axis,
     Chart,
@@ -25,6 +24,7 @@ from riecjax.reporting.charts.chart import (
     Panel,
     Span,
 )
+from riecjax.errors import DataError
 from riecjax.whole_files import stamp
 
 DOTS_PER_INCH = 150

@@ -1,7 +1,6 @@
-"""Hidden elements by variable projection: their shapes are searched, all else is solved for.
+"""Elements by variable projection: their shapes are searched, all else is solved for.
 
-The shape of a mode, D = 1 + q s + p s^2, is a frequency and a damping; that of a spring in series,
-D = 1 + tau s, is a lag. For given shapes an equation is linear, and its normal equations are a
+For given shapes an equation is linear, and its normal equations are a
 combination V^T G V of those of its expanded columns. So a search over shapes needs p x p algebra
 only, once G is there. Where the shape is best, the equation is linearised about the solution: a
 Gauss-Newton step from there stays there, and everything that is said of a linear fit, its scores,
@@ -14,7 +13,7 @@ target D y that they leave, and only the last steps, from the best of them, are 
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -23,9 +22,10 @@ from jaxtyping import Bool, Float, Int
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
-from riecjax.equations.hidden_elements import Expanded, HiddenElement, HiddenMode, SeriesSpring
+from riecjax.equations.element import Band, Element, Shape, Values
+from riecjax.equations.expanded import Expanded
 from riecjax.equations.model import Model
-from riecjax.errors import IdentifiabilityError, ModelError
+from riecjax.errors import IdentifiabilityError
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen
 from riecjax.summaries.normal_equations import (
@@ -38,42 +38,37 @@ from riecjax.summaries.normal_equations import (
 from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.covariances import block_influence
 
-Values = Mapping[str, Array]
-DAMPINGS = (0.02, 0.06, 0.15, 0.35, 0.8)
-"""Damping ratios of the grid."""
-FREQUENCIES = 48
-"""Frequencies of the grid, in equal ratios."""
+GRID = 48
+"""Points of a grid along the first coordinate of a shape."""
 STEPS = 12
 """Newton steps from the best point of the grid."""
 FARTHEST = 0.3
-"""Of one step, in a frequency's logarithm and in the damping ratio."""
-ZOOMS = 6
-"""Times that a map looks for its damping at half the distance: then it knows it to a percent."""
+"""Of one step, in any coordinate."""
 SHORTENED = (1.0, 0.5, 0.2, 0.05, 0.01, 0.0)
 """Of each step the best of these shares is gone."""
 
 
-class ModeStage(NamedTuple):
-    """One stage in which hidden elements are to be found, and its sums.
+class ShapedStage(NamedTuple):
+    """One stage in which elements are to be found, and its sums.
 
     **Fields:** `equations`; `moments` of each, less noise; `unknown`, coefficients to be found;
     `sought`, elements that are to be found; `given` values. An element that is neither sought nor
     given is not there.
 
-    Shapes of all that is sought are one array: of each mode the logarithm of its frequency in hertz
-    and its damping ratio, of each spring the logarithm of its corner frequency.
+    Shapes of all that is sought are one array, of the coordinates of each in turn.
     """
 
     equations: tuple[Expanded, ...]
     moments: list[Float[Array, "*batch columns columns"]]
     unknown: tuple[str, ...]
-    sought: tuple[HiddenElement, ...]
+    sought: tuple[Element, ...]
     given: dict[str, Array]
+    grid: int = GRID
 
     @classmethod
     def of(
         cls, equations: tuple[Expanded, ...], sums: list[NormalEquations], known: Values
-    ) -> "ModeStage":
+    ) -> "ShapedStage":
         """The stage, from the sums of each of its equations with any leading axes."""
         names = dict.fromkeys(name for e in equations for name in e.parameters)
         elements = dict.fromkeys(of for e in equations for of, _ in e.elements)
@@ -81,20 +76,21 @@ class ModeStage(NamedTuple):
             equations,
             [one.flattened().total().clean for one in sums],
             tuple(name for name in names if name not in known),
-            tuple(of for of in elements if of.stiffness not in known),
+            tuple(of for of in elements if of.hidden[0] not in known),
             dict(known),
         )
 
     @property
     def linear(self) -> tuple[str, ...]:
-        """What is solved for at a shape: coefficients, and masses of the modes sought."""
+        """What is solved for at a shape: coefficients, and what elements sought are linear in."""
         hidden = (of.linear for of in self.sought if of.linear not in self.given)
         return tuple(dict.fromkeys((*self.unknown, *hidden)))
 
-    def by_element(self, at: Float[Array, "*batch shapes"]) -> dict[HiddenElement, Array]:
+    def by_element(self, at: Float[Array, "*batch shapes"]) -> dict[Element, Array]:
         """The part of each element that is sought."""
-        ends = np.cumsum([element.order for element in self.sought], dtype=int).tolist()
-        return {one: at[..., end - one.order : end] for one, end in zip(self.sought, ends)}
+        counts = [element.coordinates for element in self.sought]
+        ends = np.cumsum(counts, dtype=int).tolist()
+        return {one: at[..., end - n : end] for one, n, end in zip(self.sought, counts, ends)}
 
     def projected(self, at: Float[Array, "*batch shapes"]) -> "Projected":
         """The best fit with elements of these shapes."""
@@ -126,11 +122,11 @@ class ModeStage(NamedTuple):
     def shares(
         self, at: Float[Array, "*batch shapes"]
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """What elements of these shapes leave of the target D y, infinite where no mode of positive
-        mass fits, and what is left without the last mode."""
+        """What elements of these shapes leave of the target D y, infinite where none of positive
+        size fits, and what is left without the last one."""
         fit = self.projected(at)
-        masses = fit.theta[..., len(self.unknown) :]
-        good = xp.all(masses > 0, axis=-1) & (fit.target > 0)
+        sizes = fit.theta[..., len(self.unknown) :]
+        good = xp.all(sizes > 0, axis=-1) & (fit.target > 0)
         target = xp.where(fit.target > 0, fit.target, 1.0)
         return xp.where(good, fit.energy / target, xp.inf), fit.without_last().energy / target
 
@@ -189,8 +185,8 @@ class ModeStage(NamedTuple):
         sought = self.by_element(at)
         values = {**self.given, **dict(zip(self.linear, xp.moveaxis(theta, -1, 0)))}
 
-        def shape(element: HiddenElement):
-            known = element not in sought and element.stiffness in self.given
+        def shape(element: Element) -> Shape:
+            known = element not in sought and element.hidden[0] in self.given
             return element.shape(self.given) if known else element.shape_at(sought.get(element))
 
         return [e.residual(values, [shape(of) for of, _ in e.elements]) for e in self.equations]
@@ -228,7 +224,7 @@ class Projected(NamedTuple):
         return cls(theta, target - (moment * theta).sum(axis=-1), target, gram)
 
     def without_last(self) -> "Projected":
-        """The fit without the mass of the last mode, which is then zero."""
+        """The fit without the size of the last element, which is then zero."""
         if self.gram.shape[-1] <= 2:
             return self._replace(theta=xp.zeros_like(self.theta), energy=self.target)
         fit = Projected.of(self.gram[..., :-1, :-1])
@@ -237,94 +233,42 @@ class Projected(NamedTuple):
         return self._replace(theta=theta, energy=fit.energy)
 
 
-class ModeMap(NamedTuple):
-    """Shares of the target that modes of each frequency leave, at their best damping.
-
-    **Fields:** `frequency` in hertz; `unexplained` share with a mode there, `without` one, both in
-    the same windows; `damping` ratio; infinite where no mode of positive mass fits.
-    """
-
-    frequency: Float[Array, " frequencies"]
-    unexplained: Float[Array, " frequencies"]
-    without: Float[Array, " frequencies"]
-    damping: Float[Array, " frequencies"]
-
-
-def frequencies(band: tuple[Leaf, Leaf]) -> Float[Array, " frequencies"]:
-    """Logarithms of those of the grid, between two in hertz."""
-    return xp.linspace(*(xp.log(f) for f in band), FREQUENCIES)
-
-
-def mode_map(stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " shapes"]) -> ModeMap:
-    """The map of one more mode, the last one sought, `others` being where they are.
-
-    Both shares are of the target D y. Of dampings of the grid alone they would step wherever the
-    best of them changes: the map zooms in.
-    """
-
-    logs = frequencies(band)
-    count, middle = len(DAMPINGS), len(DAMPINGS) // 2
-
-    def best(dampings: Float[Array, "frequencies dampings"]) -> tuple[Array, Array, Array]:
-        shapes = [*others, xp.broadcast_to(logs[:, None], dampings.shape), dampings]
-        left, without = stage.shares(xp.stack(xp.broadcast_arrays(*shapes), axis=-1))
-        at = xp.argmin(left, axis=-1)[:, None]
-        return tuple(
-            xp.take_along_axis(each, at, axis=-1)[:, 0] for each in (left, without, dampings)
-        )
-
-    def closer(state: tuple[tuple[Array, Array, Array], Array]):
-        found, width = state
-        damping = found[-1][:, None]
-        steps = np.linspace(-1.0, 1.0, count)[None]
-        around = xp.clip(damping * xp.exp(width * steps), DAMPINGS[0], DAMPINGS[-1])
-        # The middle is the best so far, up to rounding, so that none is lost.
-        around = xp.where(np.arange(count)[None] == middle, damping, around)
-        return best(around), width / 2
-
-    dampings = np.array(DAMPINGS)
-    widest = np.log(np.max(dampings[1:] / dampings[:-1])) / 2
-    first = best(xp.broadcast_to(dampings[None], (FREQUENCIES, count)))
-    found = xp.repeated(closer, (first, widest), ZOOMS, beside=(stage.moments, stage.given))[0]
-    return ModeMap(xp.exp(logs), *found)
-
-
-def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array, " shapes"]:
+def search(stage: ShapedStage, bands: Sequence[Band]) -> Float[Array, " shapes"]:
     """Where elements fit best: one after the other on a grid, then all by Newton's steps.
 
-    Modes, which come first, change an equation by far more than what springs delay.
+    Those come first that change an equation most.
 
-    **Arguments:** `bands` in hertz in which to look for each.
+    **Arguments:** `bands` in which to look for each.
     """
     at = np.zeros(0, stage.moments[0].dtype)
     for number, (element, band) in enumerate(zip(stage.sought, bands), start=1):
         part = stage._replace(sought=stage.sought[:number])
-        axes = (frequencies(band), np.array(DAMPINGS))[: element.order]
-        grid = xp.stack(xp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, element.order)
+        axes, count = element.axes(band, stage.grid), element.coordinates
+        grid = xp.stack(xp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, count)
         shapes = xp.concatenate([xp.tile(at, (len(grid), 1)), grid.astype(at.dtype)], axis=1)
         left, _ = part.shares(shapes)
         at = polished(part, xp.take(shapes, xp.argmin(left), axis=0))
     return at
 
 
-def as_asked(
-    at: Float[Array, " shapes"], sought: Sequence[HiddenElement]
-) -> Float[Array, " shapes"]:
-    """Modes of one body exchanged, which changes nothing but their names, so that each is as near
-    as may be to the frequency asked for."""
-    modes = [element for element in sought if isinstance(element, HiddenMode)]
-    rows = at[: 2 * len(modes)].reshape(-1, 2)
-    for on in {mode.on: None for mode in modes if mode.hz is not None}:
-        place = [i for i, mode in enumerate(modes) if mode.on == on]
-        orders = np.array(list(itertools.permutations(place)))
-        logs = np.log([np.nan if (hz := modes[i].hz) is None else hz for i in place])
+def as_asked(at: Float[Array, " shapes"], stage: ShapedStage) -> Float[Array, " shapes"]:
+    """Elements of one class and place exchanged, which changes nothing but their names, so that
+    each is as near as may be to where it was asked for, by its first coordinate."""
+    parts = stage.by_element(at)
+    for one in stage.sought:
+        alike = [of for of in stage.sought if (type(of), of.place) == (type(one), one.place)]
+        if one is not alike[0] or all(of.near is None for of in alike):
+            continue
+        rows = xp.stack([parts[of] for of in alike])
+        orders = np.array(list(itertools.permutations(range(len(alike)))))
+        logs = np.log([np.nan if of.near is None else of.near for of in alike])
         far = xp.nansum(xp.abs(rows[orders, 0] - logs.astype(at.dtype)[None, :]), axis=1)
         nearest = xp.take(orders, xp.argmin(far), axis=0)
-        rows = xp.with_entries(rows, np.array(place), xp.take(rows, nearest, axis=0))
-    return xp.concatenate([rows.ravel(), at[2 * len(modes) :]])
+        parts |= dict(zip(alike, xp.take(rows, nearest, axis=0)))
+    return xp.concatenate([np.zeros(0, at.dtype), *parts.values()])
 
 
-def polished(stage: ModeStage, start: Float[Array, " shapes"]) -> Float[Array, " shapes"]:
+def polished(stage: ShapedStage, start: Float[Array, " shapes"]) -> Float[Array, " shapes"]:
     """The least energy near a start, by Newton's steps, shortened where they lead up."""
     shares = np.array(SHORTENED, start.dtype)[:, None]
 
@@ -345,19 +289,19 @@ def polished(stage: ModeStage, start: Float[Array, " shapes"]) -> Float[Array, "
     return xp.repeated(step, start, STEPS, beside=(stage.moments, stage.given))
 
 
-# Hidden elements in the windows that tell most of them, and the sums linearised about them.
+# Elements in the windows that tell most of them, and the sums linearised about them.
 #
-# Windows of every length have sums of their own. In each modes and springs are searched, and
+# Windows of every length have sums of their own. In each elements are searched, and
 # promised a standard error; the length that promises the least one is taken. About what is found
 # there the stage's equations are linearised, and from then on they are as any others.
 
 
-Band = tuple[int, int]
+Bins = tuple[int, int]
 """Bins of window lengths, first and one beyond the last."""
 
 
-class FoundModes(NamedTuple):
-    """Where hidden elements are, and what they were found from.
+class FoundShapes(NamedTuple):
+    """Where elements are, and what they were found from.
 
     **Fields:** `summary`, linearised about them; `at`, the shapes of each stage's elements;
     `bands`, of each stage the bins of window lengths that it is solved from, `None` for all or
@@ -366,41 +310,31 @@ class FoundModes(NamedTuple):
 
     summary: Summary
     at: list[Float[Array, " shapes"]]
-    bands: list[Band | None]
+    bands: list[Bins | None]
     shown: Bool[Array, ""]
 
 
-def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> FoundModes:
-    """The hidden elements of each stage, in the windows that tell most of them.
+def find_shapes(model: Model, summary: Summary, given: Values, rank: int = 0) -> FoundShapes:
+    """The elements of each stage, in the windows that tell most of them.
 
-    Short windows show a fast mode, or a lag, and much noise; which of the lengths tells most is
+    Short windows show what is fast, and much noise; which of the lengths tells most is
     seen from the standard errors that each promises. Where lengths were not kept apart all are
     taken.
 
     **Arguments:** `rank`, 0 for the lengths that tell most, 1 for the next, where there are some.
 
-    **Raises:** `ModelError` where of a mode something is known, and not all, or of a spring its
-    stiffness alone, and for a mode above what the sampling shows; `IdentifiabilityError` where a
-    signal that tells of an element never moves.
+    **Raises:** `ModelError` where something of an element is known, and not all that it needs, and
+    for one beyond what the sampling shows; `IdentifiabilityError` where a signal that tells of an
+    element never moves.
     """
     for element in model.hidden:
-        held = [name for name in element.parameters if name in given]
-        if isinstance(element, HiddenMode) and 0 < len(held) < 3:
-            raise ModelError(
-                f"of a hidden mode all of {', '.join(element.parameters)} are known or none; got "
-                f"{', '.join(held)}."
-            )
-        if isinstance(element, SeriesSpring) and held == [element.stiffness]:
-            raise ModelError(
-                f"of a spring in series {element.stiffness} is known only where {element.of} is; "
-                f"leave it out, or give both."
-            )
+        element.require_known(given)
     known = {name: xp.asarray(value) for name, value in given.items()}
     found, stages, shown = [], [], np.array(True)
     equations = summary.equations()
     looked_at = xp.is_concrete(equations, known)
     for i, expanded in enumerate(model.expanded):
-        stage = ModeStage.of(expanded, equations[i], known)
+        stage = ShapedStage.of(expanded, equations[i], known)
         at, band, place = np.zeros(0), None, None
         if stage.sought:
             where = tuple(search_band(summary, element) for element in stage.sought)
@@ -411,7 +345,7 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
             stacked: Any = xp.stacked(every)
             best, at, there = _searched(expanded, stacked, known, where, np.asarray(rank))
             used = jax.tree.map(lambda leaf, best=best: xp.take(leaf, best, axis=0), stacked)
-            stage = ModeStage.of(expanded, used, known)
+            stage = ShapedStage.of(expanded, used, known)
             place = first + best if summary.bins else None
             band = options[int(best)] if summary.bins and xp.is_concrete(best) else None
             shown = shown & there
@@ -448,7 +382,7 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
     )
     linear = dataclasses.replace(summary.in_one_bin(recordings), outline=_outline(model))
     shapes, bands = map(list, zip(*found))
-    return FoundModes(linear, shapes, bands, shown)
+    return FoundShapes(linear, shapes, bands, shown)
 
 
 def _mix(expanded: Expanded, values: Values) -> Float[Array, "1+p columns"]:
@@ -463,15 +397,14 @@ def _searched(
     expanded: tuple[Expanded, ...],
     options: list[NormalEquations],
     known: Values,
-    bands: tuple[tuple[Leaf, Leaf], ...],
+    bands: tuple[Band, ...],
     rank: Int[Leaf, ""],
 ) -> tuple[Array, Float[Array, " shapes"], Bool[Array, ""]]:
     """Which windows tell most of a stage's hidden elements, where they are by these, and whether
     they show any.
 
-    What a length promises is the sum of squared relative standard errors of masses and stiffnesses
-    of modes, and of squared standard errors of lags in samples, infinite for what is no oscillator
-    and no spring. Relative errors of lags would choose the lengths in which noise looks like one.
+    What a length promises is the sum of squares of errors of what is judged, each as a share of the
+    one that counts (`Element.doubted`), infinite for what cannot be.
 
     **Arguments:** `options`, sums with a leading axis of window lengths.
     """
@@ -479,8 +412,8 @@ def _searched(
     options, known, bands = xp.stop_gradient((options, dict(known), bands))
 
     def tried(sums: list[NormalEquations]) -> tuple[Array, Array]:
-        stage = ModeStage.of(expanded, sums, known)
-        at = as_asked(search(stage, bands), stage.sought)
+        stage = ShapedStage.of(expanded, sums, known)
+        at = as_asked(search(stage, bands), stage)
         values = stage.values(at)
         own = [one.mixed(_mix(e, values), e.all_parameters) for e, one in zip(expanded, sums)]
         names = tuple(dict.fromkeys(name for e in expanded for name in e.all_parameters))
@@ -494,8 +427,7 @@ def _searched(
         target = stage.projected(at).target
         good = xp.all(size > 0) & xp.isfinite(doubt) & (target > 0)
         for element, part in stage.by_element(at).items():
-            if isinstance(element, HiddenMode):
-                good = good & (part[1] > 0)
+            good = good & element.is_possible(part)
         return xp.where(good, doubt, xp.inf), at
 
     doubt, at = xp.each(tried, options, beside=(known, bands))
@@ -503,25 +435,13 @@ def _searched(
     return chosen, xp.take(at, chosen, axis=0), xp.isfinite(xp.take(doubt, chosen))
 
 
-def search_band(summary: Summary, element: HiddenElement) -> tuple[Leaf, Leaf]:
-    """Hertz between which to look for a mode, or for the corner of a spring's lag."""
-    hz = element.hz if isinstance(element, HiddenMode) else None
-    if hz is not None:
-        steps = [one.time_step for one in summary.recordings]
-        rate = 1 / max(map(float, steps)) if xp.is_concrete(steps) else np.inf
-        if not hz < rate / 2:
-            raise ModelError(
-                f"no mode near {hz:g} Hz can be seen at {rate:g} samples a second: give one below "
-                f"{rate / 2:g} Hz, or none."
-            )
-        return np.asarray(hz / 1.5), np.asarray(hz * 1.5)
+def search_band(summary: Summary, element: Element) -> Band:
+    """Where to look for an element."""
     windows = summary.criterion.windows
     assert windows is not None
-    step = summary.recordings[0].time_step
-    # From half a period of the longest window to where a period has a dozen samples, and for a lag,
-    # which shows below its corner, to a sixth of a sample.
-    highest = 1 / (8 * step) if isinstance(element, HiddenMode) else 1 / step
-    return 0.5 / windows.beta, highest
+    steps = [one.time_step for one in summary.recordings]
+    slowest = np.max(steps) if xp.is_concrete(steps) else steps[0]
+    return element.band(windows.beta, slowest)
 
 
 # Sums of a model's own parameters, of which hidden elements make it depend nonlinearly on some.
@@ -541,7 +461,7 @@ def linearised(model: Model, summary: Summary, known: Values) -> Summary:
     """
     if not model.has_hidden or summary.outline.is_of(_outline(model)):
         return summary
-    return find_modes(model, summary, known).summary
+    return find_shapes(model, summary, known).summary
 
 
 def _outline(model: Model) -> Outline:
@@ -557,7 +477,7 @@ def _in_parameters(
     mix: Float[Array, "1+p columns"],
     sums: EquationSums,
     place: Int[Leaf, ""] | None,
-    band: Band,
+    band: Bins,
 ) -> EquationSums:
     """The sums of one of the bins, or of all in a band, of combinations of their columns."""
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from riecjax.reporting.charts.chart import (
+from riecjax.charts import (
     PLAIN,
     Axis,
     Chart,

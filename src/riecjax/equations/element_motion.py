@@ -1,9 +1,8 @@
-"""The motion of hidden masses, and behind springs, from that of the bodies beside them.
+"""What elements do, as signals made from the motion that they follow.
 
-A mass on a spring and a damper moves by w = (1 + q s) / D v, D = 1 + q s + p s^2, where v is its
-body's motion (see `hidden_elements`). With w among the signals, an equation with modes is one
-without: each mode adds the term M w'. A linear element behind a spring is its coefficient times
-what passes 1 / (1 + tau s). So whatever reads an equation sample by sample need not know of them.
+An element of shape N / D passes what it follows on as N / D of it (see `element`): a hidden mass
+moves by w = N / D v, where v is its body's motion. With that among the signals an equation with
+elements is one without. So whatever reads an equation sample by sample need not know of them.
 """
 
 from collections.abc import Mapping
@@ -13,12 +12,11 @@ from jaxtyping import Float
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
+from riecjax.equations.element import Shape
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import evaluate
-from riecjax.equations.hidden_elements import HiddenMode, Shape, inertia_sign
 from riecjax.equations.model import Model
-from riecjax.equations.term import AbstractTerm, Term
-from riecjax.errors import ModelError
+from riecjax.equations.term import AbstractTerm
 from riecjax.records.record import Record
 from riecjax.records.signal import Signal
 
@@ -28,59 +26,33 @@ LONGEST_START = 0.25
 """Share of a record that is left out at the most until it has."""
 
 
-def with_hidden_motion(
+def with_element_motion(
     model: Model, record: Record, values: Mapping[str, Array]
 ) -> tuple[Model, Record]:
-    """A model without hidden elements, and the record with their motion, for these values.
+    """A model without searched elements, and the record with what these do, for these values.
 
     Samples are marked missing until the start is forgotten, of a record and after each gap.
 
-    **Raises:** `ModelError` for a spring in series with a map.
+    **Raises:** `ModelError` for an element that the motion alone tells nothing of.
     """
     signals: dict[str, Signal] = {}
 
-    def following(term: AbstractTerm, label: str, shape: Shape) -> tuple[str, ...]:
+    def following(term: AbstractTerm, label: str, shape: Shape) -> list[str]:
         """Names of what follows a term's expression, and its derivatives, by this shape."""
         of = term.of if isinstance(term.of, str) else term.name
-        names = tuple(f"{name} {label}" for name in (of, *term.measured))
+        names = [f"{name} {label}" for name in (of, *term.measured)]
         for name, read in zip(names, (term.of, *term.measured)):
             if name not in signals and (callable(read) or read in record.arrays):
                 signals[name] = filtered(evaluate(read, record), record.time_step, shape)
         return names
 
-    def without_hidden(equation: Equation) -> Equation:
-        terms = list(equation.terms)
+    def without(equation: Equation) -> Equation:
         for element in model.hidden:
-            shape = element.shape(values)
-            if isinstance(element, HiddenMode):
-                if (inertia := element.term_in(equation)) is not None:
-                    of, *measured = following(inertia, f"of {element.linear}", shape)
-                    terms.append(
-                        Term(
-                            element.linear,
-                            of,
-                            derivative=inertia.derivative,
-                            measured=tuple(measured),
-                            unit=inertia.unit,
-                            sign=inertia_sign(inertia),
-                        )
-                    )
-                continue
-            for i, term in enumerate(terms):
-                if element.of not in term.parameters:
-                    continue
-                if not term.is_linear:
-                    raise ModelError(
-                        f"what the map of '{element.of}' does behind its spring is not "
-                        f"known from the motion across both alone: simulate the model, "
-                        f"rx.validation.validate_held_out."
-                    )
-                of, *measured = following(term, f"behind {element.stiffness}", shape)
-                terms[i] = term.with_fields(of=of, measured=tuple(measured))
-        return equation.of_terms(*terms)
+            equation = element.moved(equation, values, following)
+        return equation
 
     # In this order: the stages fill the signals.
-    return Model(stages=model.by_stage(without_hidden)), record.with_signals(signals)
+    return Model(stages=model.by_stage(without)), record.with_signals(signals)
 
 
 def filtered(signal: Signal, step: Float[Array, ""], shape: Shape) -> Signal:

@@ -15,13 +15,16 @@ on the way back to zero, z = z_0 + dx / width, and as Dahl's from there on.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import ClassVar
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
+from riecjax.equations.element import Attached, Element, Told
+from riecjax.equations.equation import Equation
 from riecjax.errors import ModelError
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal, SignalNoise
@@ -30,8 +33,7 @@ TURNS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Widths within which hysteresis turns round, in strokes."""
 
 
-@dataclass(frozen=True)
-class Memory:
+class Memory(Element):
     """A state that recordings lack, from -1 to 1; as an expression, its time derivative.
 
     **Arguments:** `state`, a name for it as a signal; `velocity`, the signal that drives it;
@@ -40,13 +42,69 @@ class Memory:
     **Raises:** `ModelError` unless the width is positive.
     """
 
-    state: str
-    velocity: str
-    width: float
+    state: str = eqx.field(static=True)
+    velocity: str = eqx.field(static=True)
+    width: float = eqx.field(static=True)
+    is_of_motion: ClassVar[bool] = True
+    """Whether a velocity drives it."""
 
-    def __post_init__(self):
+    def __check_init__(self):
         if not self.width > 0:
             raise ModelError(f"a width must be positive; got {self.width:g}.")
+
+    @property
+    def described(self) -> str:
+        """`a state dahl_state of dx, within 0.01`."""
+        return f"{self.words} {self.state}, within {self.width:g} of {self.velocity}"
+
+    @classmethod
+    def widths(cls, velocity: str, records: Iterable[Record]) -> Float[np.ndarray, " widths"]:
+        """Widths within which hysteresis may turn round: shares of a usual stroke."""
+        squares = []
+        for record in records:
+            pieces = pieces_of_way(velocity, record)
+            turns = np.flatnonzero(pieces[1:] * pieces[:-1] < 0) + 1
+            squares.append(np.square(np.add.reduceat(pieces, np.concatenate([[0], turns]))))
+        stroke = float(np.sqrt(np.mean(np.concatenate(squares))))
+        return np.array(TURNS) * (stroke or 1.0)
+
+    @property
+    def source(self) -> str:
+        """As it is written after `import riecjax as rx`."""
+        return super().source.replace("rx.", "rx.elements.")
+
+    @property
+    def place(self) -> str:
+        """The velocity."""
+        return self.velocity
+
+    def as_cause(self, equation: str, at: tuple[float, ...], size: float, unit: str = "") -> Told:
+        """That what is left runs in loops."""
+        width = f"{self.width:.2g} {unit}".rstrip()
+        return Told(
+            "hysteresis",
+            f"{equation}: what the model leaves runs in loops over {self.velocity}: hysteresis is "
+            f"missing, a state that turns round within about {width} of displacement "
+            f"({type(self).__name__})",
+            "Find its law (riecjax discover).",
+            step="Find the law of the hysteresis: riecjax discover",
+        )
+
+    def with_states(self, record: Record) -> Record:
+        """The record with the state, unless it holds it, as a signal without noise of its own.
+
+        What its velocity's noise does to a state is left out: it is summed over a width.
+
+        **Raises:** `DataError` for a velocity that the record lacks.
+        """
+        if self.state in record.arrays:
+            return record
+        state = Signal(self.course(record), noise=SignalNoise())
+        return record.with_signals({self.state: state})
+
+    def attached(self, equations: tuple[Equation, ...]) -> Attached:
+        """The equations, and the state's rate."""
+        return Attached(equations, {self.state: self})
 
     def __call__(self, signals: Signals) -> Array:
         """The state's time derivative."""
@@ -75,12 +133,14 @@ class Memory:
         return np.concatenate([[0.0], np.where(along == 0, held, self.after(held, along))])
 
 
-@dataclass(frozen=True)
 class Dahl(Memory):
     """Dahl's friction: reverses within a width of displacement, elastic at first.
 
-    Arguments and errors as of any [`Memory`][riecjax.equations.memories.Memory].
+    Arguments and errors as of any [`Memory`][riecjax.elements.Memory].
     """
+
+    kind: ClassVar = "dahl"
+    words: ClassVar = "hysteresis, as Dahl's friction"
 
     def __call__(self, signals: Signals) -> Array:
         """z' = (v - |v| z) / width."""
@@ -93,12 +153,14 @@ class Dahl(Memory):
         return end + (state - end) * np.exp(-np.abs(stroke))
 
 
-@dataclass(frozen=True)
 class BoucWen(Memory):
     """Bouc and Wen's hysteresis: elastic on its way back to zero, then yielding.
 
-    Arguments and errors as of any [`Memory`][riecjax.equations.memories.Memory].
+    Arguments and errors as of any [`Memory`][riecjax.elements.Memory].
     """
+
+    kind: ClassVar = "bouc_wen"
+    words: ClassVar = "hysteresis, as of Bouc and Wen"
 
     def __call__(self, signals: Signals) -> Array:
         """z' = (v - (|v| z + v |z|) / 2) / width."""
@@ -113,15 +175,22 @@ class BoucWen(Memory):
         return end + (moved - end) * np.exp(back - left)
 
 
-@dataclass(frozen=True)
 class Elapsed(Memory):
     """The time since the start, in terms of the width, 1 s by default: of what drifts.
 
     **Arguments:** `state`, a name for it as a signal.
     """
 
-    velocity: str = ""
-    width: float = 1.0
+    velocity: str = eqx.field(static=True, default="")
+    width: float = eqx.field(static=True, default=1.0)
+    kind: ClassVar = "drift"
+    words: ClassVar = "force that drifts"
+    is_of_motion: ClassVar = False
+
+    @property
+    def described(self) -> str:
+        """`time as a signal drift_state`."""
+        return f"time as a signal {self.state}"
 
     def __call__(self, signals: Signals) -> Array:
         """z' = 1 / width."""
@@ -136,29 +205,3 @@ def pieces_of_way(velocity: str, record: Record) -> Float[np.ndarray, " n-1"]:
     """What is covered from each sample to the next."""
     v = np.nan_to_num(record.signal(velocity).with_nan)
     return 0.5 * (v[1:] + v[:-1]) * float(record.time_step)
-
-
-def usual_widths(velocity: str, records: Iterable[Record]) -> Float[np.ndarray, " widths"]:
-    """Widths within which hysteresis may turn round: shares of a usual stroke."""
-    squares = []
-    for record in records:
-        pieces = pieces_of_way(velocity, record)
-        turns = np.flatnonzero(pieces[1:] * pieces[:-1] < 0) + 1
-        squares.append(np.square(np.add.reduceat(pieces, np.concatenate([[0], turns]))))
-    stroke = float(np.sqrt(np.mean(np.concatenate(squares))))
-    return np.array(TURNS) * (stroke or 1.0)
-
-
-def with_memories(record: Record, memories: Iterable[Memory]) -> Record:
-    """The record with the states that it lacks, as signals without noise of their own.
-
-    What its velocity's noise does to a state is left out: it is summed over a width.
-
-    **Raises:** `DataError` for a velocity that the record lacks.
-    """
-    lacking = {one.state: one for one in memories if one.state not in record.arrays}
-    if not lacking:
-        return record
-    return record.with_signals(
-        {name: Signal(one.course(record), noise=SignalNoise()) for name, one in lacking.items()}
-    )

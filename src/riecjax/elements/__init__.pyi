@@ -1,0 +1,11 @@
+from .dry_friction import DryFrictionAtRest as DryFrictionAtRest
+from .evidence import Evidence as Evidence
+from .evidence import Held as Held
+from .hidden_mode import ModeEvidence as ModeEvidence
+from .hidden_mode import ModeMap as ModeMap
+from .hysteresis import BoucWen as BoucWen
+from .hysteresis import Dahl as Dahl
+from .hysteresis import Elapsed as Elapsed
+from .hysteresis import Memory as Memory
+from .sensor_errors import SensorGain as SensorGain
+from .sensor_errors import SensorZero as SensorZero
