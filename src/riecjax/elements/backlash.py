@@ -38,8 +38,10 @@ from riecjax.records.record import Record
 
 WIDTHS = 24
 """Steps of the ladder."""
-SPAN = (0.1, 6.0)
-"""From the narrowest play that is searched to the widest, in shares of the twist's rms."""
+NARROWEST = 0.1
+"""Play that is searched, as a share of the twist's rms."""
+ENGAGED = 0.99
+"""Share of the time that the twist may be within the widest."""
 TWIST_UNITS = {"N/m": "m", "N m/rad": "rad"}
 """Unit of the play by that of the spring."""
 
@@ -131,10 +133,14 @@ class Backlash(Element):
         if self.ladder:
             return self
         term = next(term for e in equations if (term := self.term_in(e)) is not None)
-        squares = [np.nanmean(np.square(evaluate(term.of, one).with_nan)) for one in records]
-        size = float(np.sqrt(np.mean(squares))) or 1.0
-        low, high = (0.5 * self.near, 2 * self.near) if self.near else np.multiply(SPAN, size)
-        return replace(self, ladder=tuple(map(float, np.geomspace(low, high, WIDTHS))))
+        twist = np.concatenate([np.abs(evaluate(term.of, one).with_nan) for one in records])
+        size = float(np.sqrt(np.nanmean(twist**2))) or 1.0
+        low, high = NARROWEST * size, 2 * float(np.nanquantile(twist, ENGAGED)) or size
+        low, high = (0.5 * self.near, 2 * self.near) if self.near else (low, high)
+        # Both ends have a neighbour beyond them.
+        step = (high / low) ** (1 / (WIDTHS - 3))
+        ladder = np.geomspace(low / step, high * step, WIDTHS)
+        return replace(self, ladder=tuple(map(float, ladder)))
 
     def columns(self, term: AbstractTerm) -> tuple[AbstractTerm, ...]:
         """The spring without play, and behind each play of the ladder.
@@ -161,11 +167,14 @@ class Backlash(Element):
         # By cubic convolution (Keys 1981) of the ladder, whose steps are equal in the logarithm:
         # smooth, and of third order in them, as the products of columns are smooth in the width.
         steps = np.log(np.array(self.ladder))
+        low, high = steps[1], steps[-2]
+        at = xp.where(xp.real(at) < low, low, xp.where(xp.real(at) > high, high, at))
         apart = (at - steps) / (steps[1] - steps[0])
-        far = xp.minimum(xp.abs(apart), 2.0)
+        far = apart * xp.sign(xp.real(apart))
         near = (1.5 * far - 2.5) * far**2 + 1
         beyond = ((-0.5 * far + 2.5) * far - 4) * far + 2
-        weights = xp.where(far < 1, near, beyond)
+        places = xp.real(far)
+        weights = xp.where(places < 1, near, xp.where(places < 2, beyond, 0.0))
         return Shape.weighing(xp.concatenate([xp.zeros_like(at), weights], axis=-1))
 
     def values_at(self, at: Float[Array, "1"], values: Values) -> dict[str, Array]:

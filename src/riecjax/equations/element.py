@@ -372,7 +372,11 @@ class Element(PlainMethods, eqx.Module):
         return (term,)
 
     def shape(self, values: Values) -> Shape:
-        """The shape with these values."""
+        """The shape with these values.
+
+        Its derivatives are taken by an imaginary step: compare `xp.real(...)` and leave out what
+        takes sizes, such as `abs`.
+        """
         raise NotImplementedError
 
     def shape_at(self, at: Float[Array, " coordinates"] | None) -> Shape:

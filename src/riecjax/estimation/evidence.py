@@ -11,9 +11,10 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.projection import Projected, ShapedStage, find_shapes, search_band
+from riecjax.estimation.projection import Bins, Projected, ShapedStage, find_shapes, search_band
 from riecjax.estimation.projection import polished as polished_shapes
 from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.summary import Summary
 
 FOLDS = 10
 """Stretches of time that are left out in turn."""
@@ -46,7 +47,7 @@ def element_evidence(model: Equation | Model, estimate: Estimate) -> list[Eviden
                 search_band(summary, element),
                 values,
                 np.asarray(estimate.covariance)[np.ix_(own, own)],
-                summary.lengths_of(found.bands[i] or summary.band),
+                _lengths(summary, found.bands[i]),
                 *_held_out(element, ShapedStage.of(equations, sums, known), sums, found.at[i]),
             )
             evidence.append(element.evidence(held))
@@ -63,6 +64,14 @@ def element_tests(model: Model, estimate: Estimate) -> list[ElementTests]:
         ElementTests(test, [one for one in every if one.test == test])
         for test in dict.fromkeys(one.test for one in every)
     ]
+
+
+def _lengths(summary: Summary, band: Bins | None) -> tuple[float, float]:
+    """Of windows in seconds, in some bins of lengths or in all."""
+    if summary.bins is not None:
+        return summary.lengths_of(band or summary.band)
+    windows = summary.criterion.windows
+    return (0.0, 0.0) if windows is None else (float(windows.alpha), float(windows.beta))
 
 
 def _held_out(

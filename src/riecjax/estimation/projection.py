@@ -126,7 +126,7 @@ class ShapedStage(NamedTuple):
         size fits, and what is left without the last one."""
         fit = self.projected(at)
         sizes = fit.theta[..., len(self.unknown) :]
-        good = xp.all(sizes > 0, axis=-1) & (fit.target > 0)
+        good = xp.all(sizes > 0, axis=-1) & (fit.target > 0) & xp.isfinite(fit.energy)
         target = xp.where(fit.target > 0, fit.target, 1.0)
         return xp.where(good, fit.energy / target, xp.inf), fit.without_last().energy / target
 

@@ -1,0 +1,179 @@
+"""What play is found to be, over drives of known truth. Written to backlash.json.
+
+    python -m benchmarks.calibration backlash [--drives N] [--alone N] [--out FILE]
+
+`play`: drives of two inertias that a spring couples behind a play of 0.2 to 3 times the twist's rms,
+with both encoders and noise of 1 % of that rms. `none`: the same without play, asked for one.
+`alone`: the first drives again from the motor's encoder alone, refined by simulation from half and
+from twice the width.
+
+Each drive is simulated here, by its own Runge-Kutta steps of an eighth of a sample, in NumPy.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+import riecjax as rx
+from benchmarks.recorded import FOLDER, write_json
+from riecjax.errors import RiecjaxError
+
+OUT = FOLDER / "backlash.json"
+RATE, SECONDS, FINER = 500.0, 20.0, 8
+NOISE = 0.01
+"""Of each encoder, as a share of the twist's rms."""
+TORQUE = np.linspace(0.5, 8.0, 16)
+"""Hertz of the torque's sines."""
+PASSES = 5
+"""Simulations in which the ratio of play to twist is brought to what is asked for."""
+
+TWIST = rx.difference("q_m", "q_l")
+MOTOR = rx.Equation(
+    rx.Term("J_m", "q_m", derivative=2, unit="kg m^2"),
+    rx.Term("d_m", "q_m", derivative=1, unit="N m s/rad"),
+    rx.Term("k", TWIST, unit="N m/rad"),
+    -rx.Term(1.0, "tau"),
+    name="motor",
+    unit="N m",
+)
+LOAD = rx.Equation(
+    rx.Term("J_l", "q_l", derivative=2, unit="kg m^2"),
+    rx.Term("d_l", "q_l", derivative=1, unit="N m s/rad"),
+    -rx.Term("k", TWIST, unit="N m/rad"),
+    name="load",
+    unit="N m",
+)
+MODEL = rx.staged(MOTOR, LOAD).with_elements(rx.Backlash("k"))
+FOUND = ("play", "k", "J_m", "J_l")
+
+
+class Drives(NamedTuple):
+    """Drives, one beside the other: true `values` of parameters, and samples of each signal."""
+
+    values: dict[str, Float[np.ndarray, " drives"]]
+    signals: dict[str, Float[np.ndarray, "samples drives"]]
+
+    def record(self, number: int, names: tuple[str, ...] = ("q_m", "q_l", "tau")) -> rx.Record:
+        """The recording of one."""
+        samples = {name: self.signals[name][:, number] for name in names}
+        return rx.Record.from_samples(samples, time_step=1 / RATE)
+
+    def truth(self, number: int) -> dict[str, float]:
+        """The parameters of one."""
+        return {name: float(values[number]) for name, values in self.values.items()}
+
+
+def random_drives(count: int, seed: int, ratios: tuple[float, float]) -> Drives:
+    """Random drives, whose play is so many times the rms of their twist, in equal ratios."""
+    random = np.random.default_rng(seed)
+    inertias, dampings = (
+        random.uniform(0.5e-3, 4e-3, (2, count)),
+        random.uniform(2e-3, 8e-3, (2, count)),
+    )
+    reduced = inertias[0] * inertias[1] / inertias.sum(axis=0)
+    stiffness = (2 * np.pi * random.uniform(8.0, 20.0, count)) ** 2 * reduced
+    phases = random.uniform(0, 2 * np.pi, (len(TORQUE), count))
+    low, high = ratios
+    ratio = (
+        np.zeros(count) if high == 0 else np.exp(random.uniform(np.log(low), np.log(high), count))
+    )
+    step = 1 / (RATE * FINER)
+    times = np.arange(0, 2 * int(RATE * SECONDS) * FINER + 1) * step / 2
+    torque = np.zeros((times.size, count))
+    for hertz, phase in zip(TORQUE, phases):
+        torque += (
+            0.3 / np.sqrt(len(TORQUE) / 2) * np.sin(2 * np.pi * hertz * times[:, None] + phase)
+        )
+
+    def moved(play: Float[np.ndarray, " drives"]) -> Float[np.ndarray, "samples 2 drives"]:
+        def rate(state: np.ndarray, drive: np.ndarray) -> np.ndarray:
+            twist = state[0, 0] - state[0, 1]
+            force = stiffness * (twist - np.clip(twist, -play / 2, play / 2))
+            pushed = np.stack([drive - force, force])
+            return np.stack([state[1], (pushed - dampings * state[1]) / inertias])
+
+        state, kept = np.zeros((2, 2, count)), []
+        for i in range(int(RATE * SECONDS) * FINER):
+            if i % FINER == 0:
+                kept.append(state[0])
+            a, b, c = torque[2 * i : 2 * i + 3]
+            one = rate(state, a)
+            two = rate(state + step / 2 * one, b)
+            three = rate(state + step / 2 * two, b)
+            state = state + step / 6 * (one + 2 * (two + three) + rate(state + step * three, c))
+        return np.stack(kept)
+
+    play = np.zeros(count)
+    angles = moved(play)
+    for _ in range(PASSES if high else 0):
+        play = ratio * np.std(angles[:, 0] - angles[:, 1], axis=0)
+        angles = moved(play)
+    spread = NOISE * np.std(angles[:, 0] - angles[:, 1], axis=0)
+    noisy = angles + spread * random.standard_normal(angles.shape)
+    values = dict(
+        zip(("J_m", "J_l", "d_m", "d_l", "k", "play"), (*inertias, *dampings, stiffness, play))
+    )
+    taken = torque[: 2 * len(angles) * FINER : 2 * FINER]
+    return Drives(values, {"q_m": noisy[:, 0], "q_l": noisy[:, 1], "tau": taken})
+
+
+def found_in(made: Drives, number: int) -> dict[str, Any] | None:
+    """What is found of one drive; `None` where the recording is said to carry no play."""
+    record = made.record(number)
+    model = MODEL.for_records([record])
+    try:
+        estimate = rx.identify(model, record)
+    except RiecjaxError as error:
+        print(f"drive {number}: {error}")
+        return None
+    (evidence,) = rx.estimation.element_evidence(model, estimate)
+    if not evidence.carried:
+        return None
+    truth = made.truth(number)
+    low, high = estimate.interval("play")
+    return {
+        "errors": {name: float(estimate[name]) / truth[name] - 1 for name in FOUND},
+        "covered": bool(low <= truth["play"] <= high),
+    }
+
+
+def found_alone(made: Drives, number: int) -> list[float]:
+    """Errors of a width that is refined from the motor alone, from half of it and twice."""
+    record, truth = made.record(number, ("q_m", "tau")), made.truth(number)
+    errors = []
+    for share in (0.5, 2.0):
+        start = {name: value * 1.1 for name, value in truth.items()}
+        start["play"] = truth["play"] * share
+        try:
+            found = rx.refine(MODEL, record, start, rx.OutputError())
+        except RiecjaxError as error:
+            print(f"drive {number} alone: {error}")
+            errors.append(float("inf"))
+            continue
+        errors.append(float(found["play"]) / truth["play"] - 1)
+    return errors
+
+
+def main(drives: int = 100, alone: int = 6, out: Path = OUT) -> None:
+    rx.start_jax()
+    made, without = random_drives(drives, 0, (0.2, 3.0)), random_drives(drives, 1, (0.0, 0.0))
+    told = [one for number in range(drives) if (one := found_in(made, number)) is not None]
+    errors = {name: np.abs([one["errors"][name] for one in told]) for name in FOUND}
+    motors = np.abs([found_alone(made, number) for number in range(alone)]).reshape(-1, 2)
+    report: dict[str, Any] = {
+        "drives": drives,
+        "found": len(told),
+        "covered": sum(one["covered"] for one in told),
+        "median_error_percent": {n: 100 * float(np.median(of)) for n, of in errors.items()},
+        "largest_error_percent": 100 * float(errors["play"].max()),
+        "false_alarms": sum(found_in(without, number) is not None for number in range(drives)),
+        "alone": {
+            "drives": alone,
+            "within_5_percent_from_half": int(np.sum(motors[:, 0] < 0.05)),
+            "within_5_percent_from_twice": int(np.sum(motors[:, 1] < 0.05)),
+        },
+    }
+    print(report)
+    write_json(out, report)
