@@ -31,7 +31,7 @@ def made_in(source: str) -> set[str]:
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Call) and node.args:
             name = getattr(node.func, "id", "") or getattr(node.func, "attr", "")
-            if name in ("Finding", "finding", "each_finding", "fault", "_Said"):
+            if name in ("Finding", "finding", "each_finding", "fault", "Told", "Absence"):
                 values = [n.value for n in ast.walk(node.args[0]) if isinstance(n, ast.Constant)]
                 found |= {value for value in values if isinstance(value, str)}
     return found

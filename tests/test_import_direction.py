@@ -10,13 +10,13 @@ import pytest
 
 import riecjax
 
-CORE = ("records", "simulation", "equations", "criteria", "summaries", "uncertainty", "estimation",
-        "refinement", "validation", "models", "doubts", "discovery", "assessment", "reporting",
+CORE = ("records", "simulation", "equations", "elements", "criteria", "summaries", "uncertainty",
+        "estimation", "refinement", "validation", "models", "doubts", "discovery", "assessment", "reporting",
         "cli")  # fmt: skip
 """Stages in the order of the data; a module imports from its own or an earlier one."""
 RIM = ("readers", "fleets", "paper", "studies")
 """A foreign distribution could stand in the place of each: they import public names alone."""
-BASE = ("arrays", "errors", "extensions", "findings", "folds", "leaves", "linear_algebra", "memory",
+BASE = ("arrays", "charts", "errors", "extensions", "findings", "folds", "leaves", "linear_algebra",
         "public_names", "runtime", "settings", "shows", "standard_output", "tails",
         "whole_files")  # fmt: skip
 """What stands beside the stages: all may import it, and it imports none of them but for types."""

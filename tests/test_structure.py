@@ -32,12 +32,14 @@ MOST_PARAMETERS = 7
 MOST_IMPORTS = 12
 MANY_PARAMETERS: dict[str, int] = {}
 MANY_IMPORTS = {
-    "riecjax.assessment.advice": 13,
+    "riecjax.assessment.advice": 14,
     "riecjax.assessment.assess": 29,
     "riecjax.assessment.output_error_search": 14,
     "riecjax.discovery.candidate": 13,
-    "riecjax.discovery.discover": 22,
+    "riecjax.discovery.discover": 23,
     "riecjax.doubts.check": 21,
+    "riecjax.doubts.equation_faults": 13,
+    "riecjax.elements.backlash": 13,
     "riecjax.assessment.demands": 14,
     "riecjax.doubts.kinematics": 20,
     "riecjax.doubts.reading": 13,

@@ -1,4 +1,3 @@
-from . import charts as charts
 from . import criteria as criteria
 from . import discovery as discovery
 from . import doubts as doubts

@@ -70,8 +70,8 @@ def test_of_a_right_model_only_the_delay_is_found(late):
 def test_a_mode_is_found_instead_of_terms_that_stand_for_it(noise):
     found = discover(BODY, carrying(noise), **QUICK)
     assert found.names == ("mode",)
-    assert found.mode is not None
-    assert found.mode.on == "v"
+    assert found.element is not None
+    assert found.element.place == "v"
     for name in ("M_mode", "K_mode"):
         assert float(found.estimate[name]) == pytest.approx(TRUTH[name], rel=0.1)
     document = discovery_document(found)
@@ -112,7 +112,7 @@ def test_hysteresis_that_cannot_be_offered_is_called_no_mode():
     record = PROBLEMS["hysteresis"].record(0.01, 0).select("x", "u")
     found = discover(nameless, record, **QUICK)
     assert found.leaves_more
-    assert found.mode is None
+    assert found.element is None
     assert [warning["code"] for warning in discovery_document(found)["warnings"]] == ["not_offered"]
     moded = rx.identify(nameless.with_elements(rx.HiddenMode("x")), record, intervals=rx.Naive())
     left = (float(one.equations["mass"].model_rms) for one in (moded, found.estimate))

@@ -136,7 +136,7 @@ def test_what_makes_no_sense_is_refused(record, changed, said):
 
 def test_hidden_elements_are_refused(record):
     model = find_model("drag-oscillator").with_elements(rx.HiddenMode(on="x"))
-    with pytest.raises(rx.ModelError, match="without hidden modes and springs"):
+    with pytest.raises(rx.ModelError, match="without hidden elements"):
         discover(model, record, **QUICK)
 
 

@@ -16,6 +16,7 @@ import pytest
 import riecjax as rx
 from riecjax.cli.command import Given, SettingsCommand, settings_command
 from riecjax.cli.main import COMMANDS, cli, run
+from riecjax.models.catalogue import with_asked
 from riecjax.settings import Contradiction, Job, Read, Settings, many, taking
 from riecjax.settings.kinds import TEXT, choice
 from riecjax.settings.option import Option
@@ -322,9 +323,11 @@ def test_a_job_may_ask_for_one_document(tmp_path, monkeypatch, capsys):
 
 def test_elements_by_their_kind():
     model, elements = rx.find_model("drag-oscillator"), rx.settings.Elements
-    offset = model.with_elements(elements(added=[("offset", "u", None)]))
-    assert offset.parameters == model.with_elements(rx.elements.SensorZero("u")).parameters
-    with pytest.raises(rx.ModelError, match="no element 'absent'; there are: mode, spring, offset"):
-        model.with_elements(elements(added=[("absent", "u", None)]))
-    with pytest.raises(rx.ModelError, match="offset:u is near no frequency: leave out =3"):
-        model.with_elements(elements(added=[("offset", "u", 3.0)]))
+    zero = with_asked(model, elements(added=[("zero", "u", None)]))
+    assert zero.parameters == model.with_elements(rx.elements.SensorZero("u")).parameters
+    with pytest.raises(
+        rx.ModelError, match="no element 'absent'; there are: mode, spring, backlash"
+    ):
+        with_asked(model, elements(added=[("absent", "u", None)]))
+    with pytest.raises(rx.ModelError, match="zero:u is near nothing: leave out =3"):
+        with_asked(model, elements(added=[("zero", "u", 3.0)]))

@@ -1,6 +1,6 @@
 """Which elements there are: by what `--add KIND:SIGNAL` calls them, and which every model has."""
 
-import importlib
+import functools
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -16,38 +16,41 @@ if TYPE_CHECKING:
     from riecjax.findings import Finding
     from riecjax.records.record import Record
 
-KINDS = {
-    "mode": "hidden_mode:HiddenMode",
-    "spring": "series_spring:SeriesSpring",
-    "backlash": "backlash:Backlash",
-    "zero": "sensor_errors:SensorZero",
-    "gain": "sensor_errors:SensorGain",
-}
-"""Module beside this one and class, by kind; those of other distributions are entry points."""
-STATES = "hysteresis:Dahl", "hysteresis:BoucWen", "hysteresis:Elapsed"
-"""States that recordings lack: a term has to read them, so that no kind adds them."""
 STANDING = (DryFrictionAtRest(),)
 """What every model has."""
 
 
+@functools.cache
+def kinds() -> dict[str, type[Element]]:
+    """Classes of this package that `--add` knows, by kind; imported once one is asked for."""
+    from riecjax.elements.backlash import Backlash
+    from riecjax.elements.hidden_mode import HiddenMode
+    from riecjax.elements.sensor_errors import SensorGain, SensorZero
+    from riecjax.elements.series_spring import SeriesSpring
+
+    return {one.kind: one for one in (HiddenMode, SeriesSpring, Backlash, SensorZero, SensorGain)}
+
+
+def states_of_motion() -> "list[type[Memory]]":
+    """Classes of states that recordings lack; a term has to read them, so that `--add` has none."""
+    from riecjax.elements.hysteresis import BoucWen, Dahl, Elapsed
+
+    return [Dahl, BoucWen, Elapsed]
+
+
 def element_class(kind: str) -> type[Element]:
-    """The class of a kind.
+    """The class of a kind, of this package or of an entry point in `riecjax.elements`.
 
     **Raises:** `ModelError` for an unknown one, and for an entry point that is no element;
     `ExtensionError` for one that cannot be loaded.
     """
-    if kind in KINDS:
-        return _own(KINDS[kind])
+    if kind in kinds():
+        return kinds()[kind]
     found = extension("elements", kind)
     if found is None:
-        listed = ", ".join((*KINDS, *extension_names("elements")))
+        listed = ", ".join((*kinds(), *extension_names("elements")))
         raise ModelError(f"there is no element '{kind}'; there are: {listed}.")
     return as_element_class(kind, found)
-
-
-def _own(path: str) -> Any:
-    module, _, name = path.partition(":")
-    return getattr(importlib.import_module(f"riecjax.elements.{module}"), name)
 
 
 def as_element_class(kind: str, found: object) -> type[Element]:
@@ -57,36 +60,29 @@ def as_element_class(kind: str, found: object) -> type[Element]:
     return found
 
 
-def states_of_motion() -> "list[type[Memory]]":
-    """Classes of states that recordings lack."""
-    return [_own(path) for path in STATES]
+def doubted_kinds() -> list[type[Element]]:
+    """Classes of elements that what a model leaves is weighed against."""
+    return [kind for kind in kinds().values() if kind.is_doubted]
 
 
-def lacked_kinds() -> list[type[Element]]:
-    """Classes of elements that a model may lack, as far as sums alone find them."""
-    return [one for one in map(_own, KINDS.values()) if one.coordinates]
+def discovered_kinds() -> list[type[Element]]:
+    """Classes of elements that are tried beside terms that a model lacks."""
+    return [kind for kind in kinds().values() if kind.is_discovered]
 
 
-def findings_of_elements(
-    model: "Model",
-    records: "Sequence[Record]",
-    found: Any,
-    otherwise: "Callable[[Model], Any]",
-) -> "list[Finding]":
-    """What a model's elements say of records; see
-    [`Element.findings`][riecjax.Element.findings]."""
-    return [
-        finding
-        for element in elements_of(model)
-        for finding in element.findings(model, records, found, otherwise)
-    ]
+def lacked(model: "Model", equation: "Equation") -> Element | None:
+    """An element that an equation of a model may lack; `None` where no kind suggests one."""
+    every = model.equations, model.elements
+    suggested = (kind.suggested(equation, *every) for kind in kinds().values())
+    return next((one for one in suggested if one is not None), None)
 
 
-def trusted(model: "Model", record: "Record") -> "Model":
-    """The model as it holds where all its elements let this record be trusted."""
-    for element in elements_of(model):
-        model = element.trusted(model, record)
-    return model
+# What the elements of a model make of records, one after the other.
+
+
+def elements_of(model: "Model") -> Sequence[Element]:
+    """Those of a model, and those that every one has."""
+    return (*model.elements, *STANDING)
 
 
 def with_states(model: "Model", record: "Record") -> "Record":
@@ -96,22 +92,22 @@ def with_states(model: "Model", record: "Record") -> "Record":
     return record
 
 
-def lacked(model: "Model", equation: "Equation") -> Element | None:
-    """An element that an equation of a model may lack; `None` where no kind suggests one."""
-    suggested = (kind.suggested(equation, model) for kind in lacked_kinds())
-    return next((one for one in suggested if one is not None), None)
+def trusted(model: "Model", record: "Record") -> "Model":
+    """The model as it holds where all its elements let this record be trusted."""
+    for element in elements_of(model):
+        model = element.trusted(model, record)
+    return model
 
 
-def discovered_kinds() -> list[type[Element]]:
-    """Classes of elements that are tried beside terms that a model lacks."""
-    return [kind for kind in lacked_kinds() if kind.is_discovered]
-
-
-def doubted_kinds() -> list[type[Element]]:
-    """Classes of elements that what a model leaves is weighed against."""
-    return [kind for kind in lacked_kinds() if kind.is_doubted]
-
-
-def elements_of(model: "Model") -> Sequence[Element]:
-    """Those of a model, and those that every one has."""
-    return (*model.elements, *STANDING)
+def findings_of_elements(
+    model: "Model",
+    records: "Sequence[Record]",
+    found: Any,
+    otherwise: "Callable[[Model], Any]",
+) -> "list[Finding]":
+    """What a model's elements say of records; see `Element.findings`."""
+    return [
+        finding
+        for element in elements_of(model)
+        for finding in element.findings(model, records, found, otherwise)
+    ]

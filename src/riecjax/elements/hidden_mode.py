@@ -35,7 +35,6 @@ from riecjax.equations.element import (
 from riecjax.equations.equation import Equation
 from riecjax.equations.expanded import inertia_sign
 from riecjax.equations.expressions import difference
-from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require
@@ -105,9 +104,11 @@ class HiddenMode(Element):
         return equation.accelerated
 
     @classmethod
-    def suggested(cls, equation: Equation, model: Model) -> Element | None:
+    def suggested(
+        cls, equation: Equation, equations: Sequence[Equation], others: Sequence[Element]
+    ) -> Element | None:
         """On the last body of an equation in which no mode is."""
-        bodies, modes = equation.accelerated, (e for e in model.elements if isinstance(e, cls))
+        bodies, modes = equation.accelerated, (e for e in others if isinstance(e, cls))
         if not bodies or any(mode.term_in(equation) is not None for mode in modes):
             return None
         return cls(bodies[-1])
@@ -151,8 +152,8 @@ class HiddenMode(Element):
 
     @property
     def described(self) -> str:
-        """`a hidden mode on x4, near 10 Hz`."""
-        return f"a hidden mode on {self.on}" + ("" if self.hz is None else f", near {self.hz:g} Hz")
+        """`a hidden mode on x4 near 10 Hz`."""
+        return f"a hidden mode on {self.on}" + ("" if self.hz is None else f" near {self.hz:g} Hz")
 
     def require(self, equations: Sequence[Equation], others: Sequence[Element]) -> None:
         """Raise `ModelError` unless some equation accelerates the body."""

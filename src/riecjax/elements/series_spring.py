@@ -32,7 +32,6 @@ from riecjax.equations.element import (
 )
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant, label_of, signals_read
-from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require, users_code
@@ -94,10 +93,12 @@ class SeriesSpring(Element):
         return tuple(force_elements(equations, [equation]))
 
     @classmethod
-    def suggested(cls, equation: Equation, model: Model) -> Element | None:
+    def suggested(
+        cls, equation: Equation, equations: Sequence[Equation], others: Sequence[Element]
+    ) -> Element | None:
         """In series with a force element of an equation that has no spring, a linear one first."""
-        sprung = {spring.of for spring in model.elements if isinstance(spring, cls)}
-        elements = force_elements(model.equations, [equation])
+        sprung = {spring.of for spring in others if isinstance(spring, cls)}
+        elements = force_elements(equations, [equation])
         free = [t for t in elements.values() if sprung.isdisjoint(t.parameters)]
         best = min(free, key=lambda term: not term.is_linear, default=None)
         return None if best is None else cls(best.parameters[0])

@@ -25,9 +25,9 @@ elements D is the product of theirs, and each one's own columns have those of th
 """
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import numpy as np
@@ -42,11 +42,6 @@ from riecjax.equations.term import AbstractTerm, written
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf, PlainMethods, is_number
 from riecjax.records.record import Record
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from riecjax.equations.model import Model
 
 ROUGH = 14
 """Frequencies of a rough grid."""
@@ -248,8 +243,10 @@ class Element(PlainMethods, eqx.Module):
         return ()
 
     @classmethod
-    def suggested(cls, equation: Equation, model: "Model") -> "Element | None":
-        """The element of this class that an equation of a model may lack, likeliest of all."""
+    def suggested(
+        cls, equation: Equation, equations: Sequence[Equation], others: "Sequence[Element]"
+    ) -> "Element | None":
+        """The element of this class that an equation, one of all these, may lack beside others."""
         return None
 
     is_doubted: ClassVar[bool] = False
@@ -330,16 +327,13 @@ class Element(PlainMethods, eqx.Module):
         """The element with what is left open set as these records suggest (not under jit)."""
         return self
 
-    def trusted(self, model: "Model", record: Record) -> "Model":
-        """The model as it holds where the element lets this record be trusted."""
+    def trusted(self, model: Any, record: Record) -> Any:
+        """The [`Model`][riecjax.Model] as it holds where the element lets this record be
+        trusted."""
         return model
 
     def findings(
-        self,
-        model: "Model",
-        records: Sequence[Record],
-        found: Any,
-        otherwise: "Callable[[Model], Any]",
+        self, model: Any, records: Sequence[Record], found: Any, otherwise: Callable[[Any], Any]
     ) -> list[Any]:
         """What is to be said of records beside an estimate that was `found`.
 
@@ -409,7 +403,7 @@ class Element(PlainMethods, eqx.Module):
         raise NotImplementedError
 
     def moved(
-        self, equation: Equation, values: Values, following: "Callable[..., list[str]]"
+        self, equation: Equation, values: Values, following: Callable[..., list[str]]
     ) -> Equation:
         """The equation without it, reading what it does as signals.
 

@@ -30,7 +30,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from riecjax import arrays as xp
-from riecjax.equations.element import Part
 from riecjax.equations.equation import Equation
 from riecjax.equations.equation_system import EquationSystem
 from riecjax.equations.model import Model, as_model, equation_system, require_no_slip
@@ -313,7 +312,7 @@ class AbstractObjective(eqx.Module):
             units |= {n: unit for n, unit in model.unit_pairs if unit or n not in units}
             defaults |= model.defaults
         carried: Mapping[str, float | Array] = {}
-        parts: dict[str, Part] = {}
+        parts: dict[str, Any] = {}
         if isinstance(start, Estimate):
             rows = start.table.rows
             if not names:
