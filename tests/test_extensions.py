@@ -16,7 +16,8 @@ from tests.machines import DRAG
 import riecjax as rx
 from nightly import nightly
 from riecjax.cli.main import ORDER, run
-from riecjax.errors import DataError
+from riecjax.elements.catalogue import element_class
+from riecjax.errors import DataError, ModelError
 from riecjax.extensions import NEEDS, ExtensionError, extension, require_packages
 from riecjax.records.reading import endings, read_channels
 
@@ -249,3 +250,14 @@ def test_the_core_loads_neither_what_is_around_it_nor_what_that_needs(tmp_path, 
     assert not [name for name in ours if around & {*name[1:2]}]
     assert not ELSEWHERE & {name.split(".")[0] for name in loaded}
     assert len(ours) <= most
+
+
+def test_a_foreign_element_takes_part(install):
+    source = (Path(__file__).parent / "elements" / "inerter.py").read_text()
+    install("inerters", source + "\nNUMBER = 3\n", elements={"inerter": "Inerter", "n": "NUMBER"})
+    found = element_class("inerter")
+    assert found.at("v1-v2").described == "an inerter between v1 and v2"
+    with pytest.raises(ExtensionError, match="'n' of riecjax.elements cannot be loaded"):
+        element_class("n")
+    with pytest.raises(ModelError, match="there are: mode, spring, backlash, zero, gain, inerter"):
+        element_class("nowhere")

@@ -167,8 +167,9 @@ class Backlash(Element):
         # By cubic convolution (Keys 1981) of the ladder, whose steps are equal in the logarithm:
         # smooth, and of third order in them, as the products of columns are smooth in the width.
         steps = np.log(np.array(self.ladder))
-        low, high = steps[1], steps[-2]
-        at = xp.where(xp.real(at) < low, low, xp.where(xp.real(at) > high, high, at))
+        # Beyond the ladder its ends, with their slope.
+        place = xp.stop_gradient(xp.real(at))
+        at = at - place + xp.clip(place, steps[1], steps[-2])
         apart = (at - steps) / (steps[1] - steps[0])
         far = apart * xp.sign(xp.real(apart))
         near = (1.5 * far - 2.5) * far**2 + 1

@@ -92,11 +92,13 @@ def with_states(model: "Model", record: "Record") -> "Record":
     return record
 
 
-def trusted(model: "Model", record: "Record") -> "Model":
-    """The model as it holds where all its elements let this record be trusted."""
+def trusted(model: "Model", record: "Record", linear: "Model | None" = None) -> "Model":
+    """The model, or the linear one of it, as it holds where its elements let a record be
+    trusted."""
+    made = model if linear is None else linear
     for element in elements_of(model):
-        model = element.trusted(model, record)
-    return model
+        made = element.trusted(made, record)
+    return made
 
 
 def findings_of_elements(

@@ -241,10 +241,16 @@ def noise_in_words(noise: Mapping[str, parts.NoisePart]) -> Iterator[str]:
         yield f"noise: below {in_percent(LEAST_SHOWN, 'g')} of each signal's standard deviation"
 
 
+LISTED = 8
+"""Of a test's own values, as many as are written out."""
+
+
 def plain_in_words(entry: Any) -> str:
     """Plain data in words."""
     if isinstance(entry, dict):
         return ", ".join(f"{name} {plain_in_words(each)}" for name, each in entry.items())
+    if isinstance(entry, list) and len(entry) > LISTED:
+        return f"{len(entry)} values"
     if isinstance(entry, list):
         return f"[{', '.join(map(plain_in_words, entry))}]"
     return number(entry) if isinstance(entry, float) else str(entry)

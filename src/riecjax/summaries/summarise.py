@@ -258,8 +258,8 @@ def summed(
     """The Summary of a task; see [`summarise`][]."""
     model, records, criterion, keys = asked
     # With hidden elements, sums are of more columns than there are parameters.
-    model = model.linear
-    outline = Outline.of(model)
+    linear = model.linear
+    outline = Outline.of(linear)
     windows, own, kept_apart = criterion.all_windows, None, None
     if bins is None and windows is not None and is_concrete(windows):
         own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
@@ -274,7 +274,7 @@ def summed(
     edges, band = (None, (0, 1)) if kept_apart is None else kept_apart
 
     def sums(record: Record, key: Key[Array, ""] | None) -> RecordingSums:
-        read = with_less_noise(trusted(model, record), record, criterion)
+        read = with_less_noise(trusted(model, record, linear), record, criterion)
         apart = own is not None
         return recording_sums(read, record, criterion, key, kept_apart, survey, starts, apart)
 
