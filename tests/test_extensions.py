@@ -257,7 +257,7 @@ def test_a_foreign_element_takes_part(install):
     install("inerters", source + "\nNUMBER = 3\n", elements={"inerter": "Inerter", "n": "NUMBER"})
     found = element_class("inerter")
     assert found.at("v1-v2").described == "an inerter between v1 and v2"
-    with pytest.raises(ExtensionError, match="'n' of riecjax.elements cannot be loaded"):
+    with pytest.raises(ExtensionError, match="cannot be loaded"):
         element_class("n")
-    with pytest.raises(ModelError, match="there are: mode, spring, backlash, zero, gain, inerter"):
+    with pytest.raises(ModelError, match="mode, spring, backlash, zero, gain, inerter"):
         element_class("nowhere")

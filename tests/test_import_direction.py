@@ -11,8 +11,8 @@ import pytest
 import riecjax
 
 CORE = ("records", "simulation", "equations", "elements", "criteria", "summaries", "uncertainty",
-        "estimation", "refinement", "validation", "models", "doubts", "discovery", "assessment", "reporting",
-        "cli")  # fmt: skip
+        "estimation", "refinement", "validation", "models", "doubts", "discovery", "assessment",
+        "reporting", "cli")  # fmt: skip
 """Stages in the order of the data; a module imports from its own or an earlier one."""
 RIM = ("readers", "fleets", "paper", "studies")
 """A foreign distribution could stand in the place of each: they import public names alone."""

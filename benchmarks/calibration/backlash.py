@@ -2,8 +2,8 @@
 
     python -m benchmarks.calibration backlash [--drives N] [--alone N] [--out FILE]
 
-`play`: drives of two inertias that a spring couples behind a play of 0.2 to 3 times the twist's rms,
-with both encoders and noise of 1 % of that rms. `none`: the same without play, asked for one.
+`play`: drives of two inertias, a spring between them behind a play of 0.2 to 3 times the twist's
+rms, with both encoders and noise of 1 % of that rms. `none`: the same without play, asked for one.
 `alone`: drives of a play of 0.1 to 1 times the rms from the motor's encoder alone, refined by
 simulation from half the width, and from 1.05 times all other values.
 
