@@ -38,10 +38,16 @@ from riecjax.records.record import Record
 
 WIDTHS = 24
 """Steps of the ladder."""
+AROUND = 2.0
+"""Ratio to a given width within which others are searched."""
 NARROWEST = 0.1
 """Play that is searched, as a share of the twist's rms."""
 ENGAGED = 0.99
 """Share of the time that the twist may be within the widest."""
+NO_LADDER = (
+    "which widths of play are searched depends on the recordings: take model.for_records(records), "
+    "or say near which one, rx.Backlash('k', 0.01)."
+)
 TWIST_UNITS = {"N/m": "m", "N m/rad": "rad"}
 """Unit of the play by that of the spring."""
 
@@ -54,15 +60,15 @@ class Backlash(Element):
     sides was recorded, else by [`refine`][riecjax.refine], started from a width that is not zero.
 
     **Arguments:** `of`, the name of the spring's coefficient, of a term that reads the twist;
-    `near`, a width near which to look: by default all from a tenth of the twist's rms to six times
-    that are searched.
+    `near`, a width near which to look: by default all are searched from a tenth of the twist's rms
+    to what the twist leaves in 1 % of the time, `ends` that `model.for_records(records)` sets.
 
     **Raises:** `ModelError` for a width that is not positive.
     """
 
     of: str = eqx.field(static=True)
     near: float | None = eqx.field(static=True, default=None)  # pyright: ignore
-    ladder: tuple[float, ...] = eqx.field(static=True, kw_only=True, default=())
+    ends: tuple[float, float] | None = eqx.field(static=True, kw_only=True, default=None)
     kind: ClassVar = "backlash"
     words: ClassVar = "the backlash"
     coordinates: ClassVar = 1
@@ -126,35 +132,38 @@ class Backlash(Element):
         return [Quantity(name, unit, f"whole width of the play in series with {self.of}")]
 
     def for_records(self, records: Sequence[Record], equations: Sequence[Equation]) -> "Backlash":
-        """With a ladder of widths by the twist's rms, or around the width that is given.
+        """With the ends of the ladder by the twist, unless a width is given.
 
-        **Raises:** `DataError` for a record that lacks a side.
+        **Raises:** `DataError` for a record that lacks a side; `ModelError` under a trace.
         """
-        if self.ladder:
+        if self.near is not None or self.ends is not None:
             return self
+        if not xp.is_concrete(list(records)):
+            raise ModelError(NO_LADDER)
         term = next(term for e in equations if (term := self.term_in(e)) is not None)
         twist = np.concatenate([np.abs(evaluate(term.of, one).with_nan) for one in records])
         size = float(np.sqrt(np.nanmean(twist**2))) or 1.0
-        low, high = NARROWEST * size, 2 * float(np.nanquantile(twist, ENGAGED)) or size
-        low, high = (0.5 * self.near, 2 * self.near) if self.near else (low, high)
-        # Both ends have a neighbour beyond them.
+        widest = 2 * float(np.nanquantile(twist, ENGAGED)) or size
+        return replace(self, ends=(NARROWEST * size, widest))
+
+    @property
+    def ladder(self) -> Float[np.ndarray, " widths"]:
+        """Widths in equal ratios, one beyond either end.
+
+        **Raises:** `ModelError` where nothing says which ends.
+        """
+        ends = self.ends if self.near is None else (self.near / AROUND, self.near * AROUND)
+        if ends is None:
+            raise ModelError(NO_LADDER)
+        low, high = ends
         step = (high / low) ** (1 / (WIDTHS - 3))
-        ladder = np.geomspace(low / step, high * step, WIDTHS)
-        return replace(self, ladder=tuple(map(float, ladder)))
+        return np.geomspace(low / step, high * step, WIDTHS)
 
     def columns(self, term: AbstractTerm) -> tuple[AbstractTerm, ...]:
-        """The spring without play, and behind each play of the ladder.
-
-        **Raises:** `ModelError` where it has none yet.
-        """
-        if not self.ladder:
-            raise ModelError(
-                "which widths of play are searched depends on the recordings: take "
-                "model.for_records(records), or say near which one: rx.Backlash('k', 0.01)."
-            )
-        widths = (0.0, *self.ladder)
+        """The spring without play, and behind each play of the ladder."""
+        widths = np.array([0.0, *self.ladder])
         names = tuple(f"{self.of} behind play {i}" for i in range(len(widths)))
-        return (Slack.of_term(term, names, np.array(widths)),)
+        return (Slack.of_term(term, names, widths),)
 
     def shape(self, values: Values) -> Shape:
         """Of the width."""
@@ -163,10 +172,10 @@ class Backlash(Element):
     def shape_at(self, at: Float[Array, "1"] | None) -> Shape:
         """Of the width's logarithm; `None`: no play."""
         if at is None:
-            return Shape.weighing(np.eye(1 + len(self.ladder))[0])
+            return Shape.weighing(np.eye(1 + WIDTHS)[0])
         # By cubic convolution (Keys 1981) of the ladder, whose steps are equal in the logarithm:
         # smooth, and of third order in them, as the products of columns are smooth in the width.
-        steps = np.log(np.array(self.ladder))
+        steps = np.log(self.ladder)
         # Beyond the ladder its ends, with their slope.
         place = xp.stop_gradient(xp.real(at))
         at = at - place + xp.clip(place, steps[1], steps[-2])
