@@ -200,6 +200,13 @@ class Element(PlainMethods, eqx.Module):
         return f"--add {cls.kind}"
 
     @property
+    def asked(self) -> tuple[str, str]:
+        """Options of the command line that add this one."""
+        option = self.option()
+        kind = option.removeprefix("--add ")
+        return (option, self.place) if kind == option else ("--add", f"{kind}:{self.place}")
+
+    @property
     def part(self) -> Part:
         """What is said of its parameters."""
         return Part(self.words, self.option(), self.absence)
@@ -271,7 +278,7 @@ class Element(PlainMethods, eqx.Module):
         **Arguments:** `at`, the point of that grid; `size` of its linear parameter, or of the
         coefficient of its state; `unit` of a displacement, of what has a width.
         """
-        remedy = (self.option(), self.place)
+        remedy = self.asked
         then = f"{self.to_find} (on the command line: {shlex.join(remedy)})."
         what = f"{equation}: what the model leaves is {self.lacked_at(at)}"
         return Told("unmodelled_mode", what, then, remedy, self.to_find)

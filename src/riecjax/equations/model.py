@@ -145,8 +145,8 @@ class Model(PlainMethods, Shown, eqx.Module):
         meanings: dict[str, str] = {}
         for element in elements:
             require("an element", element, Element, "rx.HiddenMode(on='x4')")
+            element.require(self.equations, self.elements)
             if element.number is None:
-                element.require(self.equations, self.elements)
                 before = {name for equation in self.equations for name in equation.parameters}
                 self.stages = self.by_stage(partial(element.in_equation, units=units))
                 names = [name for equation in self.equations for name in equation.parameters]

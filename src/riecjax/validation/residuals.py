@@ -392,7 +392,7 @@ class EquationResidual(NamedTuple):
         source = element.source.replace('"', "'")
         if not by_sums:
             return element.to_find, (), f"model.with_elements({source}), then rx.refine"
-        return element.to_find, (element.option(), element.place), source
+        return element.to_find, element.asked, source
 
     def _uneven(self) -> Iterator[Finding]:
         errors = self.windows
