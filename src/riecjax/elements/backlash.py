@@ -23,7 +23,7 @@ from jaxtyping import Float
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
-from riecjax.charts import BLUE, GREY, RUST, Axis, Level, Line, Panel
+from riecjax.charts import BLUE, GREY, RUST, Axis, Level, Line, Panel, labelled
 from riecjax.elements.evidence import Evidence, Held
 from riecjax.equations.bases import AbstractBasis
 from riecjax.equations.element import Attached, Band, Element, Shape, Values, require_near
@@ -162,8 +162,11 @@ class Backlash(Element):
     def columns(self, term: AbstractTerm) -> tuple[AbstractTerm, ...]:
         """The spring without play, and behind each play of the ladder."""
         widths = np.array([0.0, *self.ladder])
-        names = tuple(f"{self.of} behind play {i}" for i in range(len(widths)))
+        names = tuple(map(self._column, range(len(widths))))
         return (Slack.of_term(term, names, widths),)
+
+    def _column(self, number: int) -> str:
+        return f"{self.of} behind play {number}"
 
     def shape(self, values: Values) -> Shape:
         """Of the width."""
@@ -224,12 +227,14 @@ class Backlash(Element):
         (logs,) = self.axes(held.band, held.stage.grid)
         shapes = np.stack([*(np.full(logs.shape, x) for x in others), logs], axis=-1)
         name, (width,) = self.hidden[0], np.sqrt(np.diagonal(held.covariance))
+        springs = [e.equation.units.get(self._column(0), "") for e in stage.equations]
         return BacklashEvidence(
             *held.shared(),
             of=self.of,
             width=(float(held.values[name]), float(width)),
             widths=np.exp(logs),
             left=np.asarray(stage.shares(shapes)[0]),
+            unit=TWIST_UNITS.get(max(springs), ""),
         )
 
 
@@ -285,13 +290,14 @@ class BacklashEvidence(Evidence):
     """What speaks for play in series with the spring `of`.
 
     **Further fields:** the `width` with its standard error; the `widths` of a map, and the share
-    `left` of the target by each, at the best stiffness.
+    `left` of the target by each, at the best stiffness; their `unit`.
     """
 
     of: str
     width: tuple[float, float]
     widths: Float[np.ndarray, " widths"]
     left: Float[np.ndarray, " widths"]
+    unit: str = ""
     test: ClassVar = "backlash"
     caption: ClassVar = (
         "The map of play: of each width that the play could have, the share of the target's energy "
@@ -333,4 +339,4 @@ class BacklashEvidence(Evidence):
             Level(self.width[0], "x", "the play found", BLUE, "dashed"),
         ]
         share = Axis(f"share of {self.stage} unexplained", log=True)
-        return Panel(marks, Axis("width of the play", log=True), share)
+        return Panel(marks, Axis(labelled("width of the play", self.unit), log=True), share)
