@@ -100,7 +100,7 @@ def test_it_is_carried_and_drawn(loose):
     assert evidence.explained > 0.9
     (panel,) = evidence.chart().rows[0]
     assert len(panel.marks) == 3
-    assert panel.x.label == "width of the play / rad"
+    assert panel.x.label == "width of the play / (rad)"
 
 
 @pytest.mark.raises_finding("element_not_carried")
