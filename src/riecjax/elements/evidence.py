@@ -21,8 +21,8 @@ from riecjax.shows import Drawn
 
 CERTAIN = 3.0
 """Standard errors by which an element must explain more than nothing: of ten folds, one in 130."""
-LEAST = 1e-5
-"""Share of the target that is left of any equation by integration between samples."""
+LITTLE = 0.5
+"""Share of what is left without an element that a true one explains at the least."""
 UNSURE = 0.2
 """Share of the noise's own energy that may be left because its size was judged wrongly."""
 
@@ -87,6 +87,8 @@ class Evidence(Drawn):
     """Name of the test of an answer that it belongs to."""
     figure: ClassVar[str] = ""
     """What its chart is called."""
+    least: ClassVar[float] = 0.0
+    """Share of the target that it must explain, whatever chance and noise are."""
     caption: ClassVar[str] = ""
 
     @property
@@ -97,14 +99,14 @@ class Evidence(Drawn):
 
     @property
     def is_sure(self) -> bool:
-        """Whether it explains more than chance, integration or noise that was judged wrongly."""
-        least = max(CERTAIN * float(self.gain_error), LEAST, UNSURE * float(self.noise))
+        """Whether it explains more than chance or noise that was judged wrongly."""
+        least = max(CERTAIN * float(self.gain_error), self.least, UNSURE * float(self.noise))
         return float(self.gain) > least
 
     @property
     def carried(self) -> bool:
-        """Whether the recordings carry the element."""
-        return self.is_sure
+        """Whether the recordings carry it: it explains more than chance would, and much."""
+        return self.is_sure and self.explained > LITTLE
 
     def held_out(self, what: str) -> str:
         """A sentence on how much of time left out something explains."""

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.charts import BLUE, GREY, RUST, Axis, Level, Line, Panel
-from riecjax.elements.evidence import Evidence, Held
+from riecjax.elements.evidence import LITTLE, Evidence, Held
 from riecjax.equations.element import (
     Attached,
     Band,
@@ -49,8 +49,8 @@ AROUND = 1.5
 """Ratio to a given frequency up to which a mode is looked for."""
 ZOOMS = 6
 """Times that a map looks for its damping at half the distance: then it knows it to a percent."""
-LITTLE = 0.5
-"""Share of what is left without a mode that a true one explains at the least."""
+LEAST = 1e-5
+"""Share of the target that is left of any equation by integration between samples."""
 NEAR = 2**0.5
 """Ratio of frequencies up to which a mode is near another frequency: half an octave."""
 LOWEST = 0.3
@@ -413,11 +413,12 @@ class ModeEvidence(Evidence):
     strays: tuple[Stray, ...] = ()
     test: ClassVar = "modes"
     figure: ClassVar = "mode_map"
+    least: ClassVar = LEAST
 
     @property
     def carried(self) -> bool:
-        """Whether the recordings carry the mode: it explains more than chance would, and much."""
-        return self.is_sure and self.explained > LITTLE and self.oscillates
+        """Whether the recordings carry the mode, and it is one."""
+        return super().carried and self.oscillates
 
     def findings(self) -> list[Finding]:
         """Warnings if nothing speaks for the mode, or little, and of modes found elsewhere."""
