@@ -131,19 +131,17 @@ def in_double(function: Callable[..., Tree], *given: Any) -> Tree:
         return jax.tree.map(on_host, function(*given))
 
 
-def jacobian(
-    function: Callable[[Any], Any], at: dict[str, Any], step: float = 1e-30
-) -> dict[str, Any]:
+def jacobian(function: Callable[[Any], Any], at: dict[str, Any]) -> dict[str, Any]:
     """Derivatives of an array by each of some numbers, beside which the function closes over none.
 
     Of known numbers by an imaginary step: exact to rounding, if analytic (Squire and Trapp 1998).
     """
     if are_traced(at):
         return jax.jacfwd(function)(at)
+    steps = {name: 1e-30 * max(abs(value), 1e-200) for name, value in at.items()}
     return {
-        name: np.imag(function({**at, name: value + 1j * step * max(abs(value), 1e-200)}))
-        / (step * max(abs(value), 1e-200))
-        for name, value in at.items()
+        name: np.imag(function({**at, name: at[name] + 1j * step})) / step
+        for name, step in steps.items()
     }
 
 

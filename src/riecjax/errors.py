@@ -163,9 +163,19 @@ def users_code(name: object) -> Iterator[None]:
         words = " ".join(str(error).split("See https")[0].split())
         if len(words) > MOST_WORDS:
             words = f"{words[:MOST_WORDS].rpartition(' ')[0]} ..."
+        # The last line of the user's own that it passed through: of a file that belongs neither to
+        # this package nor to an installed one nor to Python.
+        installed = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
+        packages = [*site.getsitepackages(), site.getusersitepackages()]
+        folders = [Path(__file__).parent, *installed, *packages]
+        where = ""
+        for frame in traceback.extract_tb(error.__traceback__):
+            path = Path(os.path.abspath(frame.filename))
+            if not (frame.filename.startswith("<") or any(map(path.is_relative_to, folders))):
+                where = f" at line {frame.lineno} of {path.name}"
         kind = type(error).__name__
-        where = f"{_line_of(error)}{HINTS.get(kind, ': ')}"
-        raise ModelError(f"{name} failed{where}{kind}: {words}") from error
+        hint = HINTS.get(kind, ": ")
+        raise ModelError(f"{name} failed{where}{hint}{kind}: {words}") from error
 
 
 HINTS = {
@@ -174,18 +184,3 @@ HINTS = {
     "TracerBoolConversionError": ". Use jnp.where(condition, a, b) in place of if. ",
 }
 """What to write instead, before JAX's own words where they explain the slip at length."""
-
-
-def _line_of(error: BaseException) -> str:
-    """The last line of a file of the user's that an exception passed through.
-
-    Such a file belongs neither to this package nor to an installed one nor to Python.
-    """
-    installed = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
-    packages = [*site.getsitepackages(), site.getusersitepackages()]
-    folders = [Path(__file__).parent, *installed, *packages]
-    for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        path = Path(os.path.abspath(frame.filename))
-        if not (frame.filename.startswith("<") or any(map(path.is_relative_to, folders))):
-            return f" at line {frame.lineno} of {path.name}"
-    return ""

@@ -138,8 +138,7 @@ def symmetric_eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Fl
     if not xp.is_traced(matrix):
         if not np.isfinite(matrix).all():
             return np.full(len(matrix), np.nan), np.full(np.shape(matrix), np.nan)
-        eigen: Any = np.linalg.eigh(matrix)
-        return eigen.eigenvalues, eigen.eigenvectors
+        return _eigen(matrix)
     return jax.lax.platform_dependent(matrix, cpu=_one_by_one, default=_eigen)
 
 
@@ -206,7 +205,7 @@ def gram_condition_limit(dtype: np.dtype) -> float:
     32-bit (cond 290).
     """
     eps = float(xp.finfo(dtype).eps)
-    return float((1e-5 / eps) ** 0.5) if eps < 1e-10 else float((1e-2 / eps) ** 0.5)
+    return ((1e-5 if eps < 1e-10 else 1e-2) / eps) ** 0.5
 
 
 def gram_suffices(gram: Float[Any, "p p"]) -> bool:

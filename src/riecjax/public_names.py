@@ -22,19 +22,14 @@ def attach(package: str, file: str):
         try:
             return public(name)
         except AttributeError as error:
-            if place := _place(name):
-                raise AttributeError(f"{package} has no '{name}': write {place}.") from None
+            # The lists are read, so that nothing is imported for it.
+            from pathlib import Path
+
+            root = Path(__file__).parent
+            for beside in sorted(root.rglob("__init__.pyi")):
+                if f" as {name}\n" in beside.read_text(encoding="utf-8"):
+                    place = ".".join(("rx", *beside.parent.relative_to(root).parts, name))
+                    raise AttributeError(f"{package} has no '{name}': write {place}.") from None
             raise error
 
     return __getattr__, lambda: attached()[1]()
-
-
-def _place(name: str) -> str | None:
-    """Where users find a public name. The lists are read, so that nothing is imported for it."""
-    from pathlib import Path
-
-    root = Path(__file__).parent
-    for stub in sorted(root.rglob("__init__.pyi")):
-        if f" as {name}\n" in stub.read_text(encoding="utf-8"):
-            return ".".join(("rx", *stub.parent.relative_to(root).parts, name))
-    return None

@@ -5,7 +5,6 @@ computation takes is counted before it starts, and refused where it is not free.
 """
 
 import contextlib
-import gc
 import os
 import platform
 import zlib
@@ -62,35 +61,22 @@ def start_jax(*, keep_compiled: bool = False, devices: int = 1) -> None:
                 ) from None
     os.environ["XLA_FLAGS"] = " ".join([flags, *lacking]).strip()
     jax.config.update("jax_enable_x64", True)
-    if keep_compiled and not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        _keep_compiled()
-
-
-def collect_seldom() -> None:
-    """Look for cycles of objects less often, in a process that is this package's own."""
-    gc.set_threshold(COLLECT_AFTER)
+    if not keep_compiled or os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        return
+    with contextlib.suppress(OSError, RuntimeError):  # the latter where there is no home
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        # Earlier versions kept other files, in folders with other endings.
+        folder = Path(base) / "riecjax" / f"{processor()}-jax"
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK):
+            jax.config.update("jax_compilation_cache_dir", str(folder))
+            jax.config.update("jax_compilation_cache_max_size", CACHE_BYTES)
+            jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH_KEEPING)
 
 
 def compiles_loops_whole() -> bool:
     """Whether XLA was told to make one kernel of a whole loop, see [`start_jax`][]."""
     return _SMALL_LOOPS in os.environ.get("XLA_FLAGS", "")
-
-
-def _keep_compiled() -> None:
-    import jax
-
-    try:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        # Earlier versions kept other files, in folders with other endings.
-        folder = Path(base) / "riecjax" / f"{processor()}-jax"
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):  # the latter where there is no home
-        return
-    if not os.access(folder, os.W_OK):
-        return
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_compilation_cache_max_size", CACHE_BYTES)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH_KEEPING)
 
 
 def processor() -> str:

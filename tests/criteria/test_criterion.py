@@ -43,7 +43,7 @@ def test_riec_takes_the_integral_of_every_term_over_every_window(between_samples
     windows = rx.RandomWindows(0.05, 0.3, 50, between_samples=between_samples)
     key = jax.random.key(5)
     rows = eqx.filter_jit(rx.RIEC(windows, rx.Boxcar(2)).rows)(EQUATION, record, key)
-    drawn = windows.draw(key, record.sample_count, record.time_step)
+    drawn = windows.draw(key, record)
     at = np.arange(200.0)
     for i, (a, b) in enumerate(zip(np.asarray(drawn.start), np.asarray(drawn.stop))):
         rise = np.diff(np.interp([a, b], at, s["v"]))[0]

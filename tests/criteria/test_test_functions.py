@@ -153,7 +153,7 @@ def test_windows_that_touch_a_missing_sample_are_left_out_and_no_others(gaps, se
     record = rx.Record.from_samples(signals, time_step=0.01)
     equation = rx.Equation(rx.Term("d", "x", derivative=1), rx.Term("k", "x"), -rx.Term(1.0, "u"))
     windows = rx.RandomWindows(0.05, 0.25, 200).draw(
-        jax.random.key(seed), 201, record.time_step, kind.length_multiple
+        jax.random.key(seed), record, kind.length_multiple
     )
     if isinstance(kind, rx.Bump):
         windows, _ = kind.rounded(windows, 201)

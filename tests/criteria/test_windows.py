@@ -1,5 +1,4 @@
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
@@ -25,7 +24,7 @@ def two_sample_p_value(drawn, expected) -> float:
 
 
 def draw(windows, sample_count, time_step, seed=0):
-    found = windows.draw(jax.random.key(seed), sample_count, jnp.asarray(time_step))
+    found = windows.draw(jax.random.key(seed), rx.Record({"x": np.zeros(sample_count)}, time_step))
     return np.asarray(found.start), np.asarray(found.stop)
 
 

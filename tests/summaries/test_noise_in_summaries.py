@@ -9,6 +9,7 @@ from tests.machines import MACHINES, Shape
 import riecjax as rx
 from conftest import in_32_bit
 from nightly import nightly
+from riecjax.criteria.noise_moments import noise_moments
 from riecjax.criteria.windows import StartBlocks
 from riecjax.summaries.summarise import ready
 from riecjax.summaries.summary import load
@@ -65,7 +66,10 @@ def test_a_record_in_chunks_adds_up_to_the_same_in_one_piece(count, test_functio
     def products(columns):
         return test_function.moments(columns, lags, blocks, 128)[0]
 
-    total, of_source = jax.jit(lambda: criterion.noise_of(noisy, lags, blocks, products))()
+    def weights():
+        return test_function.noise_weights(noisy.columns, lags, blocks)
+
+    total, of_source = jax.jit(lambda: noise_moments(noisy, blocks, weights, products))()
     found = rx.summarise(EQUATION, one, criterion).recordings[0].stages[0][0]
     size = np.sqrt(np.outer(np.diag(total[0]), np.diag(total[0])))
     assert (size > 0).all()

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import gc
 import importlib
 import io
 import os
@@ -12,7 +13,7 @@ import click
 
 from riecjax.errors import RiecjaxError, printable, require
 from riecjax.extensions import extension, extension_names
-from riecjax.runtime import REMEDY, collect_seldom
+from riecjax.runtime import COLLECT_AFTER, REMEDY
 from riecjax.standard_output import answer, is_for_answers, keep_for_answers, restored
 
 # Imported when called: `riecjax models` and `--help` need not wait for JAX.
@@ -65,7 +66,7 @@ INTERRUPTED = 130
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit: 0 done, 1 no answer from these data, 2 wrong usage."""
-    collect_seldom()
+    gc.set_threshold(COLLECT_AFTER)
     for stream in (sys.stdout, sys.stderr):
         # Names of columns and files may not be in its encoding: redirected on Windows, a code page.
         if isinstance(stream, io.TextIOWrapper):

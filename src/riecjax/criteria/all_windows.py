@@ -82,7 +82,7 @@ from jaxtyping import Bool, Float, Int
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
-from riecjax.criteria.windows import LagBins, StartBlocks, each_bin, sum_over_bins
+from riecjax.criteria.windows import LagBins, StartBlocks, sum_over_bins
 from riecjax.leaves import Leaf
 
 ROW = 16
@@ -370,8 +370,8 @@ def _boxcars(primitives: Primitives, lags: LagBins, blocks: StartBlocks, reach: 
         inner = xp.cut(running, before, starts) - upper
         return inner, starting.astype(phi.dtype), ending.astype(phi.dtype)
 
-    def of_law(law: LagBins) -> Moments:
-        inner, starting, ending = sum_over_bins(law, of_bin, beside=phi)
+    def summed(found: tuple[Array, Array, Array]) -> Moments:
+        inner, starting, ending = found
         half, starting = 0.5 * ending[:, :, None], by_block(starting)
         mine, here = (xp.swapaxes(of, 1, 2) for of in (own, 0.5 * starting * own + by_block(inner)))
         z = xp.products(mine, here + half[..., :size] * mine)
@@ -381,7 +381,7 @@ def _boxcars(primitives: Primitives, lags: LagBins, blocks: StartBlocks, reach: 
         each = starting.sum(axis=(1, 3)).ravel()[: number * parts].reshape(number, parts)
         return moments.sum(axis=1), each.sum(axis=1)
 
-    return each_bin(of_law, lags, beside=phi)
+    return sum_over_bins(lags, of_bin, summed, beside=phi)
 
 
 def _hats(primitives: Primitives, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
@@ -424,10 +424,10 @@ def _hats(primitives: Primitives, lags: LagBins, blocks: StartBlocks, reach: int
         number = points.start.astype(phi.dtype).sum(axis=-1)
         return inner, around, squares.astype(phi.dtype), number
 
-    def of_law(law: LagBins) -> Moments:
-        inner, around, squares, number = sum_over_bins(law, of_bin, beside=phi)
+    def summed(found: tuple[Array, Array, Array, Array]) -> Moments:
+        inner, around, squares, number = found
         z = xp.products(phi, 0.5 * squares[:, None] * phi + around)
         z = z + xp.products(phi[..., :size], inner)
         return z + xp.swapaxes(z, 1, 2), number
 
-    return each_bin(of_law, lags, beside=phi)
+    return sum_over_bins(lags, of_bin, summed, beside=phi)

@@ -10,7 +10,7 @@ windows is RIEC; over the samples themselves, phi being a pulse, it is DOLS.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, Self
 
 import equinox as eqx
@@ -20,14 +20,12 @@ from jaxtyping import Bool, Float, Int, Key
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
-from riecjax.criteria.noise_moments import noise_moments
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Dirac
 from riecjax.criteria.windows import (
     AbstractWindows,
     AllWindows,
     LagBins,
     RandomWindows,
-    StartBlocks,
     WindowSet,
 )
 from riecjax.equations.equation import Equation
@@ -135,9 +133,7 @@ class AbstractCriterion(eqx.Module):
     def check(self, record: Record) -> None:
         """Raise `DataError` if the record is too short for this criterion (not under jit)."""
         if self.windows is not None:
-            self.windows.check(
-                record.sample_count, record.time_step, self.test_function.length_multiple
-            )
+            self.windows.check(record, self.test_function.length_multiple)
 
     def row_count(self, record: Record) -> float | None:
         """Rows of an equation on this record before any is left out, if that is known: not where
@@ -183,12 +179,8 @@ class AbstractCriterion(eqx.Module):
         if self.windows is None:
             at = np.arange(record.sample_count)
             return WindowSet(at, at)
-        return self.windows.drawn.draw(
-            jax.random.key(0) if key is None else key,
-            record.sample_count,
-            record.time_step,
-            self.test_function.length_multiple,
-        )
+        key = jax.random.key(0) if key is None else key
+        return self.windows.drawn.draw(key, record, self.test_function.length_multiple)
 
     def rows_of(self, columns: Columns, drawn: WindowSet) -> Rows:
         """One row of these columns for each window."""
@@ -216,24 +208,6 @@ class AbstractCriterion(eqx.Module):
     def noisy_columns(self, equation: Equation, record: Record) -> NoisyColumns:
         """An equation's columns, and what the record's noise does to them."""
         return noisy_columns(equation, record, self.smoothness)
-
-    def noise_of(
-        self,
-        noisy: NoisyColumns,
-        windows: LagBins | WindowSet,
-        blocks: StartBlocks,
-        products: Callable[[Columns], Array],
-    ) -> tuple[Array, Array] | None:
-        """What noise adds to `products` of rows over windows, and what each of its sources adds
-        to those of all blocks; `None` without any.
-
-        **Arguments:** `windows`, the law of all that start in the blocks, or those drawn.
-        """
-
-        def white_weights() -> Array | None:
-            return self.test_function.noise_weights(noisy.columns, windows, blocks)
-
-        return noise_moments(noisy, blocks, white_weights, products)
 
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""

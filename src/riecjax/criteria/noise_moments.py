@@ -47,11 +47,8 @@ def points_of_windows(columns: Columns, lags: LagBins, blocks: StartBlocks, piec
     """Where all windows of a law that start in some blocks have their ends, `pieces` lags long; of
     a law in bins, of each bin along a leading axis."""
     valid = np.ones(columns.sample_count, bool) if columns.present is None else columns.present
-    # All bins side by side.
-    side_by_side = LagBins(*(xp.moveaxis(leaf, -1, 0)[..., None] for leaf in lags))
-    valid = valid.reshape((1,) * (lags.first.ndim - 1) + (-1,))
     runs = Runs.of(valid, blocks.first, blocks.size * blocks.number)
-    points = sum_over_bins(side_by_side, lambda of: Points.of_bin(of, runs, pieces), beside=runs)
+    points = sum_over_bins(lags, lambda bin_: Points.of_bin(bin_, runs, pieces), beside=runs)
     # Their sums of sums are more than 32-bit integers hold.
     return Points(*(number.astype(columns.values.dtype) for number in points))
 

@@ -53,7 +53,6 @@ from riecjax.criteria.windows import (
     LagBins,
     StartBlocks,
     WindowSet,
-    each_bin,
     half_periods,
     sum_over_bins,
 )
@@ -145,7 +144,7 @@ class AbstractTestFunction(PlainMethods, eqx.Module):
 
     def lags(self, windows: AllWindows, record: Record) -> LagBins:
         """The law of window lengths on a record, in multiples of `length_multiple` samples."""
-        law = windows.lags(record.sample_count, record.time_step, self.length_multiple)
+        law = windows.lags(record, self.length_multiple)
         return LagBins(*(xp.asarray(lag)[None] for lag in law))
 
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
@@ -479,8 +478,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
 
     def lags(self, windows: AllWindows, record: Record) -> LagBins:
         """`lengths` window lengths, which count alike."""
-        ends = windows.lags(record.sample_count, record.time_step)
-        lengths = self._lengths(*map(xp.asarray, ends))
+        lengths = self._lengths(*map(xp.asarray, windows.lags(record)))
         return LagBins(lengths, lengths)
 
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
@@ -493,10 +491,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             there = valid.astype(rows.dtype)
             return blocks.products(rows, rows), blocks.products(there, there)[:, 0, 0]
 
-        def of_law(law: LagBins) -> Moments:
-            return sum_over_bins(law, of_length, beside=columns)
-
-        return each_bin(of_law, lags, beside=columns)
+        return sum_over_bins(lags, of_length, beside=columns)
 
     def noise_weights(
         self, columns: Columns, windows: LagBins | WindowSet, blocks: StartBlocks
@@ -519,10 +514,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             spectrum = xp.fft.rfft(starts, size)[None] * spectrum
             return xp.fft.irfft(spectrum, size, axis=-1)[:, :n]
 
-        def of_law(law: LagBins) -> NoiseWeights:
-            return sum_over_bins(law, of_length, beside=columns)[place]
-
-        return each_bin(of_law, windows, beside=columns)
+        return sum_over_bins(windows, of_length, lambda weights: weights[place], beside=columns)
 
     def _whole(self, columns: Columns, length: Leaf, blocks: StartBlocks) -> Bool[Array, " n"]:
         """Where a window of this length may start: in a block, with no sample missing."""

@@ -23,7 +23,7 @@ cancels where x is small.
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -37,8 +37,6 @@ from riecjax.arrays import Array
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, PlainMethods, as_leaf
 from riecjax.records.record import Record
-
-Sums = TypeVar("Sums")
 
 MOST_BLOCKS = 1024
 """Blocks of starts to a record at most: more would only take memory and time."""
@@ -93,12 +91,12 @@ class AbstractWindows(PlainMethods, eqx.Module):
     alpha: Leaf
     beta: Leaf
 
-    def check(self, sample_count: int, time_step: Array, multiple: int = 1) -> None:
+    def check(self, record: Record, multiple: int) -> None:
         """Raise `DataError` if the record is too short or too coarse (not under jit)."""
-        if not xp.is_concrete(self.alpha, self.beta, time_step):
+        if not xp.is_concrete(self.alpha, self.beta, record.time_step):
             return
-        step, beta = float(time_step), float(self.beta)
-        duration = step * (sample_count - 1)
+        step, beta = float(record.time_step), float(self.beta)
+        duration = step * (record.sample_count - 1)
         if beta > duration * (1 + 1e-12):
             raise DataError(
                 f"the longest window, beta = {beta:g} s, is longer than the record, "
@@ -112,16 +110,14 @@ class AbstractWindows(PlainMethods, eqx.Module):
                 f"milliseconds (on the command line: --scale t=0.001), or its time step a rate?"
             )
 
-    def lags(
-        self, sample_count: int, time_step: Float[Array, ""], multiple: int = 1
-    ) -> tuple[Int[Array, ""], Int[Array, ""]]:
+    def lags(self, record: Record, multiple: int = 1) -> tuple[Int[Array, ""], Int[Array, ""]]:
         """Shortest and longest window in multiples of samples, at least 1, within the record.
 
         **Raises:** `ModelError` when it is differentiated by alpha or beta.
         """
         band = self.alpha, self.beta
         alpha, beta = band if xp.is_concrete(band) else _rounded_away(band)
-        unit, most = xp.multiply(multiple, time_step), (sample_count - 1) // multiple
+        unit, most = xp.multiply(multiple, record.time_step), (record.sample_count - 1) // multiple
         shortest = xp.clip(xp.divide(alpha, unit), 1, most)
         longest = xp.clip(xp.divide(beta, unit), shortest, most)
         return xp.round(shortest).astype(np.int32), xp.round(longest).astype(np.int32)
@@ -290,26 +286,17 @@ class RandomWindows(AbstractWindows):
         between = {"between_samples": True} if self.between_samples else {}
         return {**super().describe(), "windows": self.count, **between}
 
-    def draw(
-        self,
-        key: Key[Array, ""],
-        sample_count: int,
-        time_step: Float[Array, ""],
-        multiple: int = 1,
-    ) -> WindowSet:
-        """`count` windows of a record with `sample_count` samples.
-
-        On samples, lengths are multiples of `multiple` samples.
-        """
+    def draw(self, key: Key[Array, ""], record: Record, multiple: int = 1) -> WindowSet:
+        """`count` windows of a record; on samples, lengths are multiples of so many."""
         u, v = xp.on_host(jax.random.uniform(key, (2, self.count)))
+        sample_count, m = record.sample_count, multiple
         if self.between_samples:
             last = sample_count - 1.0
-            room_a, room_b = last - self.alpha / time_step, last - self.beta / time_step
+            room_a, room_b = (last - ends / record.time_step for ends in (self.alpha, self.beta))
             room = xp.sqrt(room_a**2 - u * (room_a**2 - room_b**2))
             start = v * room
             return WindowSet(start, xp.minimum(start + (last - room), last))
-        m = multiple
-        shortest, longest = self.lags(sample_count, time_step, m)
+        shortest, longest = self.lags(record, m)
         # In real numbers: of ten minutes at 10 kHz, 32-bit integers do not hold the pairs.
         lag_count = (longest - shortest + 1).astype(u.dtype)
         most = (sample_count - m * shortest).astype(u.dtype)
@@ -417,32 +404,46 @@ def in_chunks(
     return xp.each(one, np.arange(-(-count * size // length)), beside=(record, beside))
 
 
-def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums], *, beside: Any) -> Sums:
-    """What all bins of a law add up to; a bin without a lag adds nothing, in no time.
+def sum_over_bins(
+    bins: LagBins,
+    of_bin: Callable[[LagBins], Any],
+    made: Callable[[Any], Any] = lambda total: total,
+    *,
+    beside: Any,
+) -> Any:
+    """What is made of the sum over all bins of a law; a bin without a lag adds nothing, in no time.
+    Of a law that is itself in bins the same of each, along a leading axis.
 
     Of a single bin without a loop, which would be run for each equation: what several equations
     have in common is then computed once.
 
-    **Arguments:** `beside`, what `of_bin` closes over.
+    **Arguments:** `beside`, what `of_bin` and `made` close over.
     """
     first = LagBins(*(leaf[0] for leaf in bins))
+    if bins.first.ndim > 1:
+
+        def of_law(law: LagBins) -> Any:
+            return sum_over_bins(law, of_bin, made, beside=beside)
+
+        if bins.first.shape[0] == 1:
+            return jax.tree.map(lambda leaf: leaf[None], of_law(first))
+        return xp.each(of_law, bins, beside=beside)
     if not xp.are_traced(bins, beside):
-        held = [bin_ for bin_ in map(LagBins._make, zip(*bins)) if np.any(bin_.first <= bin_.last)]
+        held = [bin_ for bin_ in map(LagBins._make, zip(*bins)) if bin_.first <= bin_.last]
         if not held:
-            return jax.tree.map(np.zeros_like, of_bin(first))
-        return functools.reduce(functools.partial(jax.tree.map, np.add), map(of_bin, held))
+            return made(jax.tree.map(np.zeros_like, of_bin(first)))
+        return made(functools.reduce(functools.partial(jax.tree.map, np.add), map(of_bin, held)))
     if bins.first.shape[0] == 1:
-        return of_bin(first)
+        return made(of_bin(first))
     shapes = jax.eval_shape(of_bin, first)
     nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
-    def add(total: Sums, bin_: LagBins) -> tuple[Sums, None]:
-        some = jnp.any(bin_.first <= bin_.last)
-        added = jax.lax.cond(some, of_bin, lambda _: nothing, bin_)
+    def add(total: Any, bin_: LagBins) -> tuple[Any, None]:
+        added = jax.lax.cond(bin_.first <= bin_.last, of_bin, lambda _: nothing, bin_)
         return jax.tree.map(jnp.add, total, added), None
 
     # In reverse mode each bin is computed again: storing all would take bins x columns x samples.
-    return jax.lax.scan(jax.checkpoint(add), nothing, LagBins(*map(jnp.asarray, bins)))[0]
+    return made(jax.lax.scan(jax.checkpoint(add), nothing, LagBins(*map(jnp.asarray, bins)))[0])
 
 
 # Bins of window lengths whose sums are kept apart, so that a band can be chosen afterwards.
@@ -536,16 +537,3 @@ def law_in_bins(law: LagBins, bins: LengthBins, unit: float, most: int) -> LagBi
     held = (begin <= end) & (inside | (np.arange(law.first.size) == 0))
     dtype = law.first.dtype
     return LagBins(np.where(held, begin, 1).astype(dtype), np.where(held, end, 0).astype(dtype))
-
-
-def each_bin(of_law: Callable[[LagBins], Any], lags: LagBins, *, beside: Any) -> Any:
-    """What is made of a law; of one in bins, of each bin, along a leading axis.
-
-    **Arguments:** `beside`, what `of_law` closes over.
-    """
-    if lags.first.ndim == 1:
-        return of_law(lags)
-    if lags.first.shape[0] == 1:
-        one = of_law(LagBins(*(leaf[0] for leaf in lags)))
-        return jax.tree.map(lambda leaf: leaf[None], one)
-    return xp.each(of_law, lags, beside=beside)

@@ -131,7 +131,7 @@ def windows_of(criterion: AbstractCriterion, records: Sequence[Record]) -> list[
     folds = int(np.clip(sum(spans) / longest, 1, FOLDS))
     found, before = [], 0.0
     for record, size, span in zip(records, sizes, spans):
-        first, last = criterion.windows.every.lags(size, record.time_step, multiple)
+        first, last = criterion.windows.every.lags(record, multiple)
         count = max(int(ROWS * span / sum(spans)), 1)
         at = np.arange(count)
         length = multiple * (int(first) + (at * GOLDEN % 1 * (last - first + 1)).astype(int))

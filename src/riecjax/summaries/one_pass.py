@@ -20,8 +20,8 @@ from jaxtyping import Bool, Float, Key
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
-from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.noise_moments import noise_moments
 from riecjax.criteria.windows import (
     CHUNK,
     AllWindows,
@@ -105,7 +105,7 @@ def _equation_sums(
             wider *= 2
         blocks = blocks._replace(size=wider * blocks.size, number=-(-narrow // wider))
 
-    def products(columns: Columns) -> Moments:
+    def products(columns: Columns) -> tuple[Array, Array]:
         if isinstance(windows, Lengths):
             return criterion.test_function.moments(columns, windows.lags, blocks, windows.reach)
         place = xp.clip(windows.start // blocks.size, 0, blocks.number - 1).astype(np.int32)
@@ -131,7 +131,12 @@ def _equation_sums(
     else:
         moments, number = products(columns)
     sums = EquationSums(moments, number, columns.parameters, constant=ones)
-    added = criterion.noise_of(noisy, counted, blocks, lambda moved: products(moved)[0])
+    added = noise_moments(
+        noisy,
+        blocks,
+        lambda: criterion.test_function.noise_weights(columns, counted, blocks),
+        lambda moved: products(moved)[0],
+    )
     if added is not None:
         sums = sums.with_noise(*added)
     if isinstance(windows, WindowSet):  # of which there are no bins of lengths
@@ -397,12 +402,10 @@ def _to_survey(
     criterion: AbstractCriterion, windows: AllWindows, record: Record, blocks: StartBlocks
 ) -> WindowSet:
     """Windows that a survey looks at, of all lengths and from all over the starts."""
-    shortest, longest = windows.lags(
-        record.sample_count, record.time_step, criterion.test_function.length_multiple
-    )
+    multiple = criterion.test_function.length_multiple
+    shortest, longest = windows.lags(record, multiple)
     share = np.random.default_rng(1).random((2, SURVEYED))
-    lag = shortest + (share[1] * (longest - shortest + 1)).astype(int)
-    length = criterion.test_function.length_multiple * lag
+    length = multiple * (shortest + (share[1] * (longest - shortest + 1)).astype(int))
     # All end within the record.
     room = np.minimum(blocks.size * blocks.number, record.sample_count - blocks.first - length)
     start = blocks.first + (share[0] * room).astype(int)
