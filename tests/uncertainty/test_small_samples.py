@@ -121,7 +121,7 @@ def test_expectation_and_freedom_are_those_of_the_quadratic_form_written_out(use
     values = {"a": jnp.asarray(theta[0]), "b": jnp.asarray(theta[1])}
     short = ShortBlocks(np.array([6]), jnp.array([1.0]), 1.0)
     statistics = block_statistics([fine], {}, values, short)
-    found = few_blocks_sandwich(statistics._replace(used=jnp.array([used])))
+    covariance, degrees, shares = few_blocks_sandwich(statistics._replace(used=jnp.array([used])))
     beside = np.eye(6, k=1) + np.eye(6, k=-1) if used == 3 else np.zeros((6, 6))
     n, p = 6, 2
     scores_covariance = np.zeros((n, p, n, p))
@@ -142,14 +142,14 @@ def test_expectation_and_freedom_are_those_of_the_quadratic_form_written_out(use
         ones = np.kron(np.ones((n, 1)), inverse[j][:, None])
         should = float((ones.T @ scores_covariance @ ones)[0, 0])
         seen = np.trace(product) / should
-        assert float(found.seen[j]) == pytest.approx(seen, rel=1e-9)
+        assert float(shares[j]) == pytest.approx(seen, rel=1e-9)
         freedom = np.trace(product) ** 2 / np.trace(product @ product)
-        assert float(found.degrees_of_freedom[j]) == pytest.approx(max(freedom, 1.0), rel=1e-9)
+        assert float(degrees[j]) == pytest.approx(max(freedom, 1.0), rel=1e-9)
         influence = scored @ inverse[j]
         plain = influence @ weights @ influence / seen
         # A thousandth is what other parameters tell.
-        assert float(found.covariance[j, j]) == pytest.approx(plain, rel=0.05)
-    assert float(found.seen[1]) < 0.5 * float(found.seen[0])
+        assert float(covariance[j, j]) == pytest.approx(plain, rel=0.05)
+    assert float(shares[1]) < 0.5 * float(shares[0])
 
 
 @pytest.mark.raises_finding("few_blocks")

@@ -34,23 +34,13 @@ from jaxtyping import Float
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
-from riecjax.criteria.all_windows import Points, Runs, running_integral
-from riecjax.criteria.windows import LagBins, StartBlocks, sum_over_bins
+from riecjax.criteria.all_windows import Points, running_integral
+from riecjax.criteria.windows import StartBlocks
 from riecjax.equations.noisy_columns import Columns, Movement, NoisyColumns, is_white
 from riecjax.leaves import Leaf
 
 NoiseWeights = Float[Array, "*bins orders orders n"]
 """W_kl at every sample, for derivatives k and l that a test function takes off."""
-
-
-def points_of_windows(columns: Columns, lags: LagBins, blocks: StartBlocks, pieces: int) -> Points:
-    """Where all windows of a law that start in some blocks have their ends, `pieces` lags long; of
-    a law in bins, of each bin along a leading axis."""
-    valid = np.ones(columns.sample_count, bool) if columns.present is None else columns.present
-    runs = Runs.of(valid, blocks.first, blocks.size * blocks.number)
-    points = sum_over_bins(lags, lambda bin_: Points.of_bin(bin_, runs, pieces), beside=runs)
-    # Their sums of sums are more than 32-bit integers hold.
-    return Points(*(number.astype(columns.values.dtype) for number in points))
 
 
 def boxcar_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeights:
@@ -103,20 +93,14 @@ def _covered(start: Array, end: Array) -> Array:
 
 
 def _ramp(points: Array) -> Array:
-    """Sum of points[u] (v - u) over u < v."""
-    return _shifted(_sums(points, 2), 1)
+    """Sum of points[u] (v - u) over u < v: running sums of running sums."""
+    return _shifted(xp.cumsum(xp.cumsum(points, axis=-1), axis=-1), 1)
 
 
 def _square_ramp(points: Array) -> Array:
     """Sum of points[u] (v - u)^2 over u < v: (v - u)^2 is twice C(v - u + 1, 2) less v - u."""
-    return 2 * _shifted(_sums(points, 3), 1) - _ramp(points)
-
-
-def _sums(values: Array, times: int) -> Array:
-    """Running sums of running sums, so many of them."""
-    for _ in range(times):
-        values = xp.cumsum(values, axis=-1)
-    return values
+    ramp = _ramp(points)
+    return 2 * xp.cumsum(ramp, axis=-1) - ramp
 
 
 def _shifted(values: Array, by: int) -> Array:

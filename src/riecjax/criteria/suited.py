@@ -97,9 +97,10 @@ def suited(model: Model, band: tuple[float, float] | None, records: Sequence[Rec
 
     **Arguments:** `band` in hertz that the model should explain, 1 to 10 if there is none.
     """
+    band = band or DEFAULT_BAND
     if any(element.order for element in model.hidden):
-        return _with_elements(model, band or DEFAULT_BAND, list(records))
-    usual, records = RIEC.of_band(band or DEFAULT_BAND), list(records)
+        return _with_elements(model, band, records)
+    usual = RIEC.of_band(band)
     # Derivatives that boxcars would read of linear terms, and that no sensor measured.
     terms = (t for e in model.equations for t in e.terms if t.is_linear and t.derivative == 2)
     named = [(t.of, t.measured[0] if t.measured else "a velocity") for t in terms]
@@ -111,7 +112,7 @@ def suited(model: Model, band: tuple[float, float] | None, records: Sequence[Rec
     ]
     if not lacking:
         return usual
-    bump = RIEC.of_band(band or DEFAULT_BAND, Bump(lengths=LENGTHS))
+    bump = RIEC.of_band(band, Bump(lengths=LENGTHS))
     alpha, beta = bump.windows.alpha, bump.windows.beta
     steps = [record.time_step for record in records]
     shortest = bump.test_function.fewest_samples * functools.reduce(xp.maximum, steps)

@@ -39,6 +39,7 @@ from riecjax.criteria.all_windows import (
     Moments,
     Points,
     Primitives,
+    Runs,
     moments_in_blocks,
     running_integral,
 )
@@ -46,7 +47,6 @@ from riecjax.criteria.noise_moments import (
     NoiseWeights,
     boxcar_noise_weights,
     hat_noise_weights,
-    points_of_windows,
 )
 from riecjax.criteria.windows import (
     AllWindows,
@@ -252,7 +252,16 @@ class _Differences(AbstractTestFunction):
         # As good as at rest, and the difference of the primitives keeps its digits.
         omega = 2 * np.pi * np.maximum(frequency, SLOWEST / beta)
         low, high = (omega * length / (2 * self.smoothness) for length in (alpha, beta))
-        mean = (_sine_primitive(high, exponent) - _sine_primitive(low, exponent)) / (high - low)
+
+        def primitive(x: Frequencies) -> Frequencies:
+            """Integral of |sin|^exponent from zero to x, for the exponents 1, 2 and 4."""
+            if exponent == 1:
+                return 2 * np.floor(x / np.pi) + 1 - np.cos(x % np.pi)
+            if exponent == 2:
+                return x / 2 - np.sin(2 * x) / 4
+            return 3 * x / 8 - np.sin(2 * x) / 4 + np.sin(4 * x) / 32
+
+        mean = (primitive(high) - primitive(low)) / (high - low)
         return (2 / omega) ** exponent * mean
 
     @property
@@ -297,8 +306,7 @@ class _Differences(AbstractTestFunction):
 
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all windows of the outer products of their rows, for blocks of starts."""
-        primitives = self.primitives(columns)
-        return moments_in_blocks(primitives, lags, blocks, reach=reach)
+        return moments_in_blocks(self.primitives(columns), lags, blocks, reach=reach)
 
     def noise_weights(
         self, columns: Columns, windows: LagBins | WindowSet, blocks: StartBlocks
@@ -308,7 +316,13 @@ class _Differences(AbstractTestFunction):
         if self.smoothness == 2 and columns.values.dtype == np.float32:
             return None
         if isinstance(windows, LagBins):
-            points = points_of_windows(columns, windows, blocks, self.smoothness)
+            n, present = columns.sample_count, columns.present
+            valid = np.ones(n, bool) if present is None else present
+            runs = Runs.of(valid, blocks.first, blocks.size * blocks.number)
+            of_bin = functools.partial(Points.of_bin, runs=runs, pieces=self.smoothness)
+            counted = sum_over_bins(windows, of_bin, beside=runs)
+            # Their sums of sums are more than 32-bit integers hold.
+            points = Points(*(number.astype(columns.values.dtype) for number in counted))
         elif not np.issubdtype(windows.start.dtype, np.integer):
             return None
         else:
@@ -720,15 +734,6 @@ class GradedBump(Bump):
         """Edges in seconds of bins that hold one length each, see the base class."""
         lengths = np.geomspace(alpha, beta, self.lengths)
         return np.concatenate([[alpha], np.sqrt(lengths[1:] * lengths[:-1]), [beta]])
-
-
-def _sine_primitive(x: Float[np.ndarray, " n"], exponent: int) -> Float[np.ndarray, " n"]:
-    """Integral of |sin|^exponent from zero to x, for the exponents 1, 2 and 4."""
-    if exponent == 1:
-        return 2 * np.floor(x / np.pi) + 1 - np.cos(x % np.pi)
-    if exponent == 2:
-        return x / 2 - np.sin(2 * x) / 4
-    return 3 * x / 8 - np.sin(2 * x) / 4 + np.sin(4 * x) / 32
 
 
 TEST_FUNCTIONS: dict[str, type[AbstractTestFunction]] = {

@@ -295,7 +295,12 @@ def recording_sums(
 
     def of_chunk(here: Record, blocks: StartBlocks, begin: int) -> list[EquationSums]:
         sampled = [criterion.noisy_columns(equation, here) for equation in model.equations]
-        there = drawn if windows is None or not surveyed else _within(drawn, begin, blocks)
+        there = drawn
+        if surveyed and windows is not None:
+            # Those of a record's windows that start in the blocks of a stretch of it.
+            start, stop = (at - begin for at in drawn)
+            inside = (start >= blocks.first) & (start < blocks.first + blocks.size * blocks.number)
+            there = WindowSet(start[inside], stop[inside])
         if surveyed and there.start.size:
             records, pairs = (here, _disturbed(here, begin)), zip(model.equations, sampled)
             surveys.append([_surveyed(criterion, *pair, records, there) for pair in pairs])
@@ -318,11 +323,8 @@ def recording_sums(
     every_sums = [
         sums.each(side_by_side, noise_of_source=lambda of: of.sum(axis=0)) for sums in found
     ]
-    if surveys:
-        kept = map(_survey, zip(*surveys))
-        every_sums = [
-            dataclasses.replace(sums, survey=survey) for sums, survey in zip(every_sums, kept)
-        ]
+    for i, parts in enumerate(zip(*surveys)):
+        every_sums[i] = dataclasses.replace(every_sums[i], survey=_survey(parts))
 
     def stages() -> tuple[tuple[EquationSums, ...], ...]:
         of_equations = iter(every_sums)
@@ -334,11 +336,10 @@ def recording_sums(
         raw = ([e.with_noise(None).flattened().total() for e in stage] for stage in stages())
         grams = [np.asarray(sum_of_equations(stage).gram) for stage in raw]
         if any(np.isfinite(gram).all() and not gram_suffices(gram) for gram in grams):
-            rows = (np.asarray(criterion.rows(e, record, key).columns).T for e in model.equations)
-            every_sums = [
-                dataclasses.replace(sums, factor=np.linalg.qr(columns, mode="r"))
-                for sums, columns in zip(every_sums, rows)
-            ]
+            for i, equation in enumerate(model.equations):
+                rows = np.asarray(criterion.rows(equation, record, key).columns).T
+                factor = np.linalg.qr(rows, mode="r")
+                every_sums[i] = dataclasses.replace(every_sums[i], factor=factor)
     # Of some starts it is not known how many windows there would be without gaps.
     offered = criterion.row_count(record) if end - begin == n else None
     sums = RecordingSums(
@@ -410,13 +411,6 @@ def _to_survey(
     room = np.minimum(blocks.size * blocks.number, record.sample_count - blocks.first - length)
     start = blocks.first + (share[0] * room).astype(int)
     return WindowSet(start, start + length)
-
-
-def _within(windows: WindowSet, first: int, blocks: StartBlocks) -> WindowSet:
-    """Those of a record's windows that start in the blocks of a stretch of it, from a sample on."""
-    start, stop = (at - first for at in windows)
-    inside = (start >= blocks.first) & (start < blocks.first + blocks.size * blocks.number)
-    return WindowSet(start[inside], stop[inside])
 
 
 def _survey(parts: Sequence[Surveyed]) -> Survey:

@@ -221,9 +221,9 @@ class Summary(PlainMethods, Shown, eqx.Module):
                 freedom[source] = np.asarray(freedom.get(source, 0.0) + np.asarray(degrees, float))
         noise = Noise(kernels, freedom)
 
-        def pooled(i: int, j: int) -> EquationSums:
+        def pooled(parts: Sequence[EquationSums]) -> EquationSums:
             """The sums of one equation side by side."""
-            sums = with_noise_alike([one.stages[i][j] for one in every])
+            sums = with_noise_alike(parts)
             shape = np.asarray(sums[0].moments).shape
             by_source: Any = np.zeros((shape[0], len(noise.sources), *shape[2:]))
             for one, equation in zip(every, sums):
@@ -236,26 +236,21 @@ class Summary(PlainMethods, Shown, eqx.Module):
                 pairs = zip(grams, (e.factor for e in sums))
                 factor = joined_factor([factor_of_gram(g) if f is None else f for g, f in pairs])
 
-            def joined(name: str) -> Any:
-                parts = [getattr(equation, name) for equation in sums]
-                return None if any(p is None for p in parts) else np.concatenate(parts, axis=1)
-
+            names = ("moments", "count", "noise", "constant")
+            each = {name: [getattr(equation, name) for equation in sums] for name in names}
+            held = {name: of for name, of in each.items() if not any(p is None for p in of)}
+            joined: Any = {name: np.concatenate(of, axis=1) for name, of in held.items()}
             return EquationSums(
-                joined("moments"),
-                joined("count"),
-                sums[0].parameters,
-                joined("noise"),
-                None if sums[0].noise is None else by_source,
+                parameters=sums[0].parameters,
+                noise_of_source=None if sums[0].noise is None else by_source,
                 factor=factor,
-                constant=joined("constant"),
+                **joined,
             )
 
-        stages = [
-            [pooled(i, j) for j, _ in enumerate(stage)] for i, stage in enumerate(every[0].stages)
-        ]
+        stages = zip(*(one.stages for one in every))
         digests = bytes.fromhex("".join(self.digests))
         joined = RecordingSums(
-            tuple(map(tuple, stages)),
+            tuple(tuple(map(pooled, zip(*stage))) for stage in stages),
             np.asarray(count),
             np.asarray(seconds / count),
             np.asarray(sum(float(one.offered) for one in every)),

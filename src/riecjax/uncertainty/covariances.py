@@ -188,11 +188,9 @@ class BlockStatistics(NamedTuple):
         """Scores and slopes of longer blocks, as many of each record along the leading axis, of
         which those beyond `used` are empty: they add up over short ones."""
         used = self.used if used is None else used
-        scored, slopes = self.short_scores, self.short_slopes
-        return (
-            sum_blocks(scored, self.short, used, most),
-            sum_blocks(slopes, self.short, used, most),
-        )
+        both = self.short_scores, self.short_slopes
+        scored, slopes = (sum_blocks(of_short, self.short, used, most) for of_short in both)
+        return scored, slopes
 
     @property
     def influence(self) -> Float[Array, "blocks p"]:
@@ -229,11 +227,8 @@ def block_statistics(
     scored, slopes = scores(stages, unknowns, values), slope(stages, unknowns)
     influence = influence_of(scored, slopes.sum((0, 1)), ridge)
     length = block_length(short, politis_white(influence, short))
-    used = blocks_in_use(short, length)
-    named = dict(values)
-    return BlockStatistics(
-        unknowns, named, length, used, short, list(stages), scored, slopes, influence
-    )
+    sums = short, list(stages), scored, slopes, influence
+    return BlockStatistics(unknowns, dict(values), length, blocks_in_use(short, length), *sums)
 
 
 def unknowns_of(stages: Sequence[NormalEquations], known: Mapping[str, Array]) -> Unknowns:
@@ -349,30 +344,22 @@ def sandwich_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
     Newey and West's (1987) estimate with Bartlett's weights, which are the mean over all blocks of
     one length, overlapping ones included. That length is the blocks'.
     """
-    lag = xp.round(statistics.length / statistics.short.seconds)
-    lag = xp.maximum(lag, 1).astype(np.int32)
-    total = sum(map(_overlapping_blocks, statistics.short_influence, lag))
+    lags = xp.round(statistics.length / statistics.short.seconds)
+    total, n = 0, statistics.short_influence.shape[1]
+    # sum_k (1 - |k| / lag) sum_t u[t] u[t + k]^T of each record. A sum over `lag` terms that ends
+    # at t is c[t] - c[t - lag], c the running sum. Of its square, summed over all ends t (also
+    # those where it reaches beyond the series), a product of two terms |k| apart is in lag - |k|
+    # sums. So the weights come from one running sum, for any traced lag.
+    for series, lag in zip(statistics.short_influence, xp.maximum(lags, 1).astype(np.int32)):
+        running = xp.pad(xp.cumsum(series, axis=0), ((1, 0), (0, 0)))
+        end = np.arange(1, 2 * n)
+        begin = xp.clip(end - lag, 0, n)
+        block = running[np.minimum(end, n)] - xp.take(running, begin, axis=0)
+        block = xp.where((end < n + lag)[:, None], block, 0.0)
+        total = total + block.T @ block / lag
     # Residuals sum to zero: as with any variance about a fitted mean, one of n squares is lost.
     blocks = xp.sum(statistics.used)
     return total * blocks / xp.maximum(blocks - 1, 1)
-
-
-def _overlapping_blocks(
-    series: Float[Array, "short p"], lag: Int[Array, ""]
-) -> Float[Array, "p p"]:
-    """Sum over k of (1 - |k| / lag) sum_t series[t] series[t + k]^T.
-
-    A sum over `lag` terms that ends at t is c[t] - c[t - lag], c the running sum. Of its square,
-    summed over all ends t (also those where it reaches beyond the series), a product of two terms
-    |k| apart is in lag - |k| sums. So the weights come from one running sum, for any traced lag.
-    """
-    n = series.shape[0]
-    running = xp.pad(xp.cumsum(series, axis=0), ((1, 0), (0, 0)))
-    end = np.arange(1, 2 * n)
-    begin = xp.clip(end - lag, 0, n)
-    block = running[np.minimum(end, n)] - xp.take(running, begin, axis=0)
-    block = xp.where((end < n + lag)[:, None], block, 0.0)
-    return block.T @ block / lag
 
 
 def naive_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
@@ -473,20 +460,11 @@ TOLD_BY_NONE = 1e-6
 """Weight of the worst case, for where no parameter's blocks say anything."""
 
 
-class FewBlocks(NamedTuple):
-    """The corrected sandwich.
-
-    **Fields:** `covariance`; `degrees_of_freedom` behind each variance; `seen`, the share of each
-    variance that the scatter between blocks shows before it is corrected.
-    """
-
-    covariance: Float[Array, "p p"]
-    degrees_of_freedom: Float[Array, " p"]
-    seen: Float[Array, " p"]
-
-
-def few_blocks_sandwich(statistics: BlockStatistics) -> FewBlocks:
-    """Covariance and degrees of freedom by Bell and McCaffrey's (2002) rule.
+def few_blocks_sandwich(
+    statistics: BlockStatistics,
+) -> tuple[Float[Array, "p p"], Float[Array, " p"], Float[Array, " p"]]:
+    """Covariance by Bell and McCaffrey's (2002) rule, degrees of freedom behind each variance, and
+    the share of it that the scatter between blocks shows before it is corrected.
 
     A parameter that one stretch alone tells of has no scatter between blocks: its variance is the
     other parameters' ratio to the working model, and without any the case that a half block's rows
@@ -548,7 +526,7 @@ def few_blocks_sandwich(statistics: BlockStatistics) -> FewBlocks:
     size = scale * xp.sqrt(should)
     some = scatter > 0
     freedom = xp.where(some, seen**2 / xp.where(some, scatter, 1.0), 1.0)
-    return FewBlocks(covariance * size[:, None] * size[None, :], xp.maximum(freedom, 1.0), seen)
+    return covariance * size[:, None] * size[None, :], xp.maximum(freedom, 1.0), seen
 
 
 # Bootstrap over blocks of time: whole procedures solved again from resampled normal equations.

@@ -211,15 +211,9 @@ def intervals_of(said: AbstractIntervals | str | None, seed: int = 0) -> Abstrac
 
     **Raises:** `ModelError` for what is none.
     """
-    named = {
-        None: BlockBootstrap,
-        "bootstrap": BlockBootstrap,
-        "sandwich": Sandwich,
-        "naive": Naive,
-    }
     if isinstance(said, str | None):
-        made = named[said]
-        return BlockBootstrap(seed=seed) if made is BlockBootstrap else made()
+        others = {"sandwich": Sandwich, "naive": Naive}
+        return BlockBootstrap(seed=seed) if said in (None, "bootstrap") else others[said]()
     require("intervals", said, AbstractIntervals, "intervals=rx.BlockBootstrap()")
     return said
 
@@ -242,9 +236,9 @@ def with_few_blocks(
     # standard error is next to nothing: t* then has tails that no number of replicates mends.
     # Bell and McCaffrey's variance and degrees of freedom hold for few blocks, under a working
     # model; so it stands in where blocks are few, and beside it shows where the bootstrap went off.
-    small = few_blocks_sandwich(statistics)
-    few = ~(small.degrees_of_freedom >= ENOUGH_FREEDOM) | (xp.sum(statistics.used) <= FEW)
-    variance, other = xp.diagonal(covariance), xp.diagonal(small.covariance)
+    small, freedom, _ = few_blocks_sandwich(statistics)
+    few = ~(freedom >= ENOUGH_FREEDOM) | (xp.sum(statistics.used) <= FEW)
+    variance, other = xp.diagonal(covariance), xp.diagonal(small)
     if studentized is not None:
         sizes = xp.abs(studentized)
         some = xp.any(xp.isfinite(sizes), axis=0)
@@ -257,11 +251,11 @@ def with_few_blocks(
     # Correlations are taken from one of the two, lest a mixture be no covariance at all.
     error = xp.sqrt(xp.where(few, other, variance))
     scale = xp.where(other > 0, error / xp.sqrt(xp.where(other > 0, other, 1.0)), 0.0)
-    mixed = small.covariance * scale[:, None] * scale[None, :]
+    mixed = small * scale[:, None] * scale[None, :]
     return Uncertainty(
         xp.where(xp.any(few), mixed, covariance),
         studentized,
-        xp.where(few, small.degrees_of_freedom, effective_freedom(statistics)),
+        xp.where(few, freedom, effective_freedom(statistics)),
         few,
         method,
     )
