@@ -227,15 +227,6 @@ def with_entries(array: Any, index: Any, values: Any) -> Any:
     return changed
 
 
-def with_added(array: Any, index: Any, values: Any) -> Any:
-    """The array with values added at an index, as often as it names a place."""
-    if are_traced((array, index, values)):
-        return jnp.asarray(array).at[index].add(values)
-    changed = np.array(array)
-    np.add.at(changed, index, values)
-    return changed
-
-
 def repeated(step: Callable[[Any], Tree], start: Tree, times: int, *, beside: Any = ()) -> Tree:
     """What a step makes of a start, over and over."""
     if are_traced(start, beside):

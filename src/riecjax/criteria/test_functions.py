@@ -330,9 +330,8 @@ class _Differences(AbstractTestFunction):
             one = np.ones(windows.start.shape) if whole is None else whole.astype(float)
             half = (windows.stop - windows.start) // 2
             places = windows.start, windows.start + half, windows.start + half, windows.stop
-            nothing = np.zeros(columns.sample_count, one.dtype)
-            each = zip(places, (one, one, half * one, one))
-            points = Points(*(xp.with_added(nothing, place, weight) for place, weight in each))
+            each = zip((one, one, half * one, one), places)
+            points = Points(*(xp.sum_by_block(*ends, columns.sample_count) for ends in each))
         weights = boxcar_noise_weights if self.smoothness == 1 else hat_noise_weights
         return weights(points, self.quadrature, columns.time_step)
 

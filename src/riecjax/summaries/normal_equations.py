@@ -523,21 +523,15 @@ def _written(value: Any) -> object:
     if isinstance(value, eqx.Module):
         fields = [field.name for field in dataclasses.fields(value)]
         parts = {name: getattr(value, name) for name in fields if name not in ("known", "unit")}
-        return [
-            type(value).__name__,
-            {name: _written(part) for name, part in parts.items()},
-            *_methods(type(value)),
-        ]
+        written = {name: _written(part) for name, part in parts.items()}
+        # Methods of a class from elsewhere; the name of this package's says which they are.
+        kind, held = type(value), (vars(kind) for kind in from_elsewhere(type(value)))
+        names = {name for own in held for name in own if not name.startswith(("__", "_abc"))}
+        methods = [getattr(kind, name) for name in sorted(names)]
+        return [kind.__name__, written, *(_function(getattr(m, "fget", m)) for m in methods)]
     if eqx.is_array(value):
         return np.asarray(value).tolist()
     return _function(value) if callable(value) else value
-
-
-def _methods(kind: type) -> list[object]:
-    """Those of a class from elsewhere; the name of this package's says which they are."""
-    names = {n for k in from_elsewhere(kind) for n in vars(k) if not n.startswith(("__", "_abc"))}
-    methods = [getattr(kind, name) for name in sorted(names)]
-    return [_function(getattr(method, "fget", method)) for method in methods]
 
 
 def _function(expression: str | Callable | None) -> object:

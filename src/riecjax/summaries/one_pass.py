@@ -391,12 +391,10 @@ def _lengths(
     step = float(record.time_step)
     multiple = criterion.test_function.length_multiple
     cut = law_in_bins(law, bins, multiple * step, (n - 1) // multiple)
-    beyond = bins.band[1]
-    if beyond == bins.edges.size - 1:
-        return (Lengths(cut, reach),)
     longest = power_of_two(float(bins.edges[-1]) / step + 2)
-    parts = (slice(beyond), reach), (slice(beyond, None), longest)
-    return tuple(Lengths(LagBins(*(leaf[i] for leaf in cut)), far) for i, far in parts)
+    parts = (slice(bins.band[1]), reach), (slice(bins.band[1], None), longest)
+    lengths = (Lengths(LagBins(*(leaf[i] for leaf in cut)), far) for i, far in parts)
+    return tuple(of for of in lengths if of.lags.first.size)
 
 
 def _to_survey(

@@ -604,6 +604,6 @@ def drawn_counts(
     drawn, place = drawn[..., :most], np.arange(most)[None, None]
     block = xp.minimum((drawn * number.astype(drawn.dtype)).astype(np.int32), number - 1)
     row = np.arange(block[..., 0].size).reshape(*block.shape[:-1], 1)
-    # Behind the counts stands one of draws that no block is left for.
-    every = xp.where(place < number, row * most + block, block.size)
-    return xp.with_added(np.zeros(block.size + 1, np.int32), every, 1)[:-1].reshape(block.shape)
+    # Draws that no block is left for count nowhere.
+    every = xp.where(place < number, row * most + block, block.size).ravel()
+    return xp.sum_by_block(np.ones(every.size, np.int32), every, block.size).reshape(block.shape)
