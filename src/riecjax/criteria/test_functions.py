@@ -29,7 +29,6 @@ from typing import Any, ClassVar, Literal
 import equinox as eqx
 import jax
 import numpy as np
-import scipy.special
 from jaxtyping import Bool, Float, Int
 
 from riecjax import arrays as xp
@@ -542,12 +541,8 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     def _at_every_start(self, columns: Columns) -> Callable[[Leaf], Float[Array, "columns n"]]:
         """A function of window length: integrals of every column over the windows at each start."""
         # A constant has no derivative, while the sum of a weight's derivative is not quite zero.
-        values = xp.stack(
-            [
-                part if order == 0 else part - part.mean(axis=1, keepdims=True)
-                for order, part in enumerate(columns.values)
-            ]
-        )
+        derived = columns.values[1:] - columns.values[1:].mean(axis=-1, keepdims=True)
+        values = xp.concatenate([columns.values[:1], derived])
         n, step = columns.sample_count, columns.time_step.astype(values.dtype)
         size = xp.fft_size(n)
         spectrum = xp.fft.rfft(values, size, axis=-1)
@@ -673,20 +668,6 @@ class Bump(AbstractSmoothTestFunction):
                 np.polymul([-2.0 * (self.p - order), 0.0], coefficients),
             )
         return found
-
-    def gain(self, frequency: Frequencies, length: Lengths) -> Gains:
-        """|H| of windows by Poisson's integral for Bessel's functions, with z = w T / 2.
-
-        integral_{-1}^{1} (1 - tau^2)^p exp(i z tau) dtau
-        = sqrt(pi) p! (2 / z)^(p + 1/2) J_{p + 1/2}(z).
-        """
-        z = np.pi * (frequency[:, None] * length[None, :])
-        order, front = self.p + 0.5, math.sqrt(math.pi) * math.gamma(self.p + 1)
-        swings = np.maximum(z, 1e-3)
-        transform = front * (2 / swings) ** order * scipy.special.jv(order, swings)
-        # Below a thousandth of a radian the transform is what it is at rest, to 1e-7.
-        transform = np.where(z > 1e-3, transform, front / math.gamma(self.p + 1.5))
-        return 0.5 * length[None, :] * np.abs(transform)
 
 
 class GradedBump(Bump):
