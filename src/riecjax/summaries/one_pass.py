@@ -285,7 +285,14 @@ def recording_sums(
     drawn: Any = every[0]
     surveyed = survey and not traced
     if windows is not None and surveyed:
-        drawn = _to_survey(criterion, windows, record, blocks)
+        # Of all lengths and from all over the starts; all end within the record.
+        multiple = criterion.test_function.length_multiple
+        shortest, longest = windows.lags(record, multiple)
+        share = np.random.default_rng(1).random((2, SURVEYED))
+        lag = multiple * (shortest + (share[1] * (longest - shortest + 1)).astype(int))
+        room = np.minimum(size * blocks.number, n - begin - lag)
+        start = begin + (share[0] * room).astype(int)
+        drawn = WindowSet(start, start + lag)
 
     def of_equation(noisy: NoisyColumns, blocks: StartBlocks) -> EquationSums:
         sums = [_equation_sums(criterion, noisy, of, blocks, not traced) for of in every]
@@ -395,20 +402,6 @@ def _lengths(
     parts = (slice(bins.band[1]), reach), (slice(bins.band[1], None), longest)
     lengths = (Lengths(LagBins(*(leaf[i] for leaf in cut)), far) for i, far in parts)
     return tuple(of for of in lengths if of.lags.first.size)
-
-
-def _to_survey(
-    criterion: AbstractCriterion, windows: AllWindows, record: Record, blocks: StartBlocks
-) -> WindowSet:
-    """Windows that a survey looks at, of all lengths and from all over the starts."""
-    multiple = criterion.test_function.length_multiple
-    shortest, longest = windows.lags(record, multiple)
-    share = np.random.default_rng(1).random((2, SURVEYED))
-    length = multiple * (shortest + (share[1] * (longest - shortest + 1)).astype(int))
-    # All end within the record.
-    room = np.minimum(blocks.size * blocks.number, record.sample_count - blocks.first - length)
-    start = blocks.first + (share[0] * room).astype(int)
-    return WindowSet(start, start + length)
 
 
 def _survey(parts: Sequence[Surveyed]) -> Survey:
