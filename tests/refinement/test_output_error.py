@@ -32,7 +32,6 @@ from riecjax.records.record import Record, shared_length, stack_records
 from riecjax.refinement.optimum import RefinementStatus
 from riecjax.refinement.output_error import (
     THRESHOLD,
-    AbstractShooting,
     OutputError,
     Tiles,
     WholeRecord,
@@ -388,7 +387,7 @@ def test_a_shared_length_is_a_quarter_longer_at_most():
 @pytest.mark.parametrize(
     "shooting", [WholeRecord(), *nightly([Tiles(samples=150)])], ids=["whole", "tiles"]
 )
-def test_what_a_record_is_filled_up_with_tells_nothing(shooting: AbstractShooting):
+def test_what_a_record_is_filled_up_with_tells_nothing(shooting: WholeRecord):
     """Traced, a record is not filled up."""
     given = record(seed=1, count=930)
     by = OutputError(shooting, method=FixedStep(4))

@@ -213,27 +213,23 @@ def as_balances(model: Balances) -> tuple[ByFunction, ...]:
         return (by_fields(model),)
     if isinstance(model, ByFunction):
         return (model,)
-    if isinstance(model, Equation):
-        return (_by_terms(model),)
-    if isinstance(model, Model):
-        if model.has_hidden:
+    if isinstance(model, Equation | Model):
+        if isinstance(model, Model) and model.has_hidden:
             raise ModelError(
                 "hidden modes and springs have states of their own, which no integral of the "
                 "equations shows: refine by rx.OutputError()."
             )
-        return tuple(map(_by_terms, model.equations))
+        equations = (model,) if isinstance(model, Equation) else model.equations
+        # Linear in its parameters, an equation is the same whatever these are.
+        return tuple(
+            ByFunction(_itself, e.parameters, tuple(e.units.items()), e.known, e) for e in equations
+        )
     if isinstance(model, Sequence):
         return tuple(balance for part in model for balance in as_balances(part))
     raise ModelError(
         f"a {type(model).__name__} has no equation of motion to integrate; give an Equation, a "
         f"Model, an AbstractBalance, or several of them."
     )
-
-
-def _by_terms(equation: Equation) -> ByFunction:
-    """An equation that is linear in its parameters: the same whatever these are."""
-    units = tuple(equation.units.items())
-    return ByFunction(_itself, equation.parameters, units, equation.known, equation)
 
 
 def _itself(equation: Equation, values: Values) -> Equation:
@@ -254,10 +250,22 @@ class IntegralResiduals(AbstractResiduals):
 
     def expansion(self, theta: Theta, initial: Initial) -> Expansion:
         """By blocks of the windows' starts, all records in one piece."""
-        parts = self._equations(theta)
-        moments = sum(part.moments for part in parts[1:]) + parts[0].moments
+        known = [self.table.values_at(theta, i) for i in range(len(self.records))]
+        names, free = self.table.free, self.table.free_somewhere
+        every = []
+        for model in self.models:
+            parts = []
+            for record, values, key in zip(self.records, known, self.keys):
+                equation, error = expanded(model, record, values, free, self.criterion.smoothness)
+                alone = Model(stages=((equation,),))
+                parts += stage_normal_equations(alone, error, self.criterion, key, blocks=True)
+            equations = over_records(stack_normal_equations(parts), self.table)
+            # What is free in some record may be fixed in another: it does not change.
+            fixed = {name: jnp.zeros(()) for name in equations.parameters if name not in names}
+            every.append(equations.fix(fixed).embed(names))
+        moments = sum(each.moments for each in every[1:]) + every[0].moments
         pieces = moments.reshape(1, -1, *moments.shape[2:])
-        return Expansion([pieces], jnp.stack([jnp.sum(part.energy) for part in parts]))
+        return Expansion([pieces], jnp.stack([jnp.sum(each.energy) for each in every]))
 
     def rms(self, energy: Energies) -> Energies:
         """Of the impulses of each equation over a window."""
@@ -276,23 +284,6 @@ class IntegralResiduals(AbstractResiduals):
         count = xp.full(moments.shape[:2], xp.sum(self.count) / math.prod(moments.shape[:2]))
         short = short_blocks(self.records, self.criterion)
         return NormalEquations(moments, count, self.table.free), short
-
-    def _equations(self, theta: Theta) -> list[NormalEquations]:
-        """Of each equation, in the changes of the parameters."""
-        known = [self.table.values_at(theta, i) for i in range(len(self.records))]
-        names, free = self.table.free, self.table.free_somewhere
-        every = []
-        for model in self.models:
-            parts = []
-            for record, values, key in zip(self.records, known, self.keys):
-                equation, error = expanded(model, record, values, free, self.criterion.smoothness)
-                alone = Model(stages=((equation,),))
-                parts += stage_normal_equations(alone, error, self.criterion, key, blocks=True)
-            equations = over_records(stack_normal_equations(parts), self.table)
-            # What is free in some record may be fixed in another: it does not change.
-            fixed = {name: jnp.zeros(()) for name in equations.parameters if name not in names}
-            every.append(equations.fix(fixed).embed(names))
-        return every
 
 
 class IntegralError(AbstractObjective):

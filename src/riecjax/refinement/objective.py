@@ -84,32 +84,34 @@ def by_fields(module: eqx.Module) -> ByFunction:
 
     Of an array, every entry is one: `F[0]`, `F[1]`. A class may give units by path in `units`.
     """
-    leaves = jax.tree.leaves(module)
+    leaves = jax.tree_util.tree_leaves_with_path(module)
     defaults = {
-        name: xp.asarray(leaves[place])[entry or ()] for name, place, entry in _entries(module)
+        name: xp.asarray(leaf)[entry]
+        for path, leaf in leaves
+        for name, entry in _entries(path, leaf)
     }
     units = tuple(getattr(module, "units", {}).items())
     return ByFunction(_with_fields, tuple(defaults), units, defaults, module)
 
 
-def _entries(module: eqx.Module) -> Iterator[tuple[str, int, tuple[int, ...] | None]]:
-    """Paths of all numbers in a module, with the place of the leaf and the entry of an array."""
-    leaves = jax.tree_util.tree_leaves_with_path(module)
-    for place, (path, leaf) in enumerate(leaves):
-        name = jax.tree_util.keystr(path, simple=True, separator=".")
-        if eqx.is_inexact_array(leaf) or isinstance(leaf, float):
-            for entry in np.ndindex(np.shape(leaf)):
-                yield name + "".join(f"[{i}]" for i in entry), place, entry or None
+def _entries(path: Any, leaf: Any) -> Iterator[tuple[str, tuple[int, ...]]]:
+    """Names of all numbers in a leaf of a module, each with its entry of an array."""
+    name = jax.tree_util.keystr(path, simple=True, separator=".")
+    if eqx.is_inexact_array(leaf) or isinstance(leaf, float):
+        for entry in np.ndindex(np.shape(leaf)):
+            yield name + "".join(f"[{i}]" for i in entry), entry
 
 
 def _with_fields(module: eqx.Module, values: Values) -> Any:
-    leaves, structure = jax.tree.flatten(module)
-    for name, place, entry in _entries(module):
-        if name in values:
-            leaf = xp.asarray(leaves[place], float)
-            value = xp.asarray(values[name], leaf.dtype)
-            leaves[place] = value if entry is None else xp.with_entries(leaf, entry, value)
-    return jax.tree.unflatten(structure, leaves)
+    def filled(path: Any, leaf: Any) -> Any:
+        for name, entry in _entries(path, leaf):
+            if name in values:
+                whole = xp.asarray(leaf, float)
+                value = xp.asarray(values[name], whole.dtype)
+                leaf = xp.with_entries(whole, entry, value) if entry else value
+        return leaf
+
+    return jax.tree_util.tree_map_with_path(filled, module)
 
 
 def _with_coefficients(system: EquationSystem, values: Values) -> EquationSystem:
@@ -339,9 +341,8 @@ class AbstractObjective(eqx.Module):
         table = table.settled({n: v for n, v in numbers.items() if n not in begun or n in fixed})
         if not table.free:
             raise ModelError("every parameter is known; nothing is left to refine.")
-        free = [numbers[name] for name in table.free]
         # In NumPy where nothing is traced: JAX would compile each small step.
-        theta = xp.stack(free)
+        theta = xp.stack([numbers[name] for name in table.free])
         return self.over(models, records, table, theta, record_keys(key, len(records)))
 
     @abstractmethod

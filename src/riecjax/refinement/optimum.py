@@ -370,24 +370,17 @@ class Problem(NamedTuple):
 
 class Ended(NamedTuple):
     """Where a search stands: the point, the problem there, linearised problems so far, and whether
-    it ended, and failed."""
+    it ended, and failed; of Levenberg-Marquardt's, its trial point, damping, and the decrease that
+    is predicted."""
 
     point: Point
     accepted: Linearised
     steps: Int[Array, ""]
     ended: Bool[Array, ""]
     failed: Bool[Array, ""]
-
-
-class _State(NamedTuple):
-    """Where the search stands, its trial point, damping, and the two parts of the predicted
-    decrease."""
-
-    at: Ended
-    trial: Point
-    damping: Float[Array, ""]
-    work: Float[Array, ""]
-    damped: Float[Array, ""]
+    trial: Point | None = None
+    damping: Float[Array, ""] | None = None
+    predicted: Float[Array, ""] | None = None
 
 
 def levenberg_marquardt(
@@ -408,7 +401,7 @@ def levenberg_marquardt(
     precision = first.parameters.dtype
     flat_cosine = 1e-6 if precision == np.float64 else 1e-4
 
-    def prepared(point: Point, at: Linearised, damping: Array, steps: Array) -> _State:
+    def prepared(point: Point, at: Linearised, damping: Array, steps: Array) -> Ended:
         step, work, damped = at.step(damping)
         step = jax.tree.map(lambda leaf: xp.where(xp.isfinite(leaf), leaf, 0.0), step)
         flat = (work <= flat_cosine**2 * at.energy) & (damped <= LITTLE_DAMPING * work)
@@ -422,28 +415,27 @@ def levenberg_marquardt(
         parameters = xp.clip(point.parameters + step.parameters, low, high)
         trial = Point(parameters, point.initial + step.initial)
         failed = stuck & ~flat & (work > NEARLY_FLAT**2 * at.energy)
-        now = Ended(point, at, steps, flat | stuck, failed)
-        return _State(now, trial, damping, work, damped)
+        return Ended(point, at, steps, flat | stuck, failed, trial, damping, work + damped)
 
-    def stepped(state: _State) -> _State:
+    def stepped(state: Any) -> Ended:
         """Accept or reject the trial point, and make the next one."""
         tried = problem.linearised(state.trial)
-        decrease = state.at.accepted.energy - tried.energy
-        ratio = decrease / (state.work + state.damped)
+        decrease = state.accepted.energy - tried.energy
+        ratio = decrease / state.predicted
         good = (decrease > 0) & (ratio > ACCEPTED)
         factor = xp.where(good, xp.where(ratio > GOOD, DAMPING_DECREASE, 1.0), DAMPING_INCREASE)
         damping = xp.maximum(state.damping * factor, xp.finfo(precision).eps).astype(precision)
-        new, old = (state.trial, tried), (state.at.point, state.at.accepted)
+        new, old = (state.trial, tried), (state.point, state.accepted)
         point, accepted = jax.tree.map(lambda new, old: xp.where(good, new, old), new, old)
-        return prepared(point, accepted, damping, state.at.steps + 1)
+        return prepared(point, accepted, damping, state.steps + 1)
 
     at, steps = problem.linearised(first, expansion), np.asarray(1)
     return xp.repeated_while(
-        lambda state: (state.at.steps < max_steps) & ~state.at.ended,
+        lambda state: (state.steps < max_steps) & ~state.ended,
         stepped,
         prepared(first, at, np.asarray(FIRST_DAMPING, precision), steps),
         beside=problem,
-    ).at
+    )
 
 
 def _largest(values: Array) -> Float[Array, ""]:
@@ -483,17 +475,13 @@ def _implicit(point: Point, problem: Problem) -> Point:
 def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
     """dz = -H^-1 F_d dd of the module's head."""
     point, problem = primals
-    change = tangents[1]
-    moves = jax.tree.map(lambda t: t is not None, change, is_leaf=lambda t: t is None)
-    moving, fixed = eqx.partition(problem, moves)
     flat, unravel = ravel_pytree(point)
 
-    def gradient(at: Array, problem_leaves: Any) -> Array:
-        problem = eqx.combine(problem_leaves, fixed)
+    def gradient(at: Array, problem: Problem) -> Array:
         return ravel_pytree(problem.linearised(unravel(at)).gradient())[0]
 
-    hessian = jax.jacfwd(gradient)(flat, moving)
-    _, pushed = jax.jvp(lambda leaves: gradient(flat, leaves), (moving,), (change,))
+    hessian = jax.jacfwd(lambda at: gradient(at, problem))(flat)
+    _, pushed = eqx.filter_jvp(lambda moved: gradient(flat, moved), (problem,), (tangents[1],))
     # What is held at a bound stays there.
     held = jnp.diagonal(hessian) == 0
     # Inverted, since reverse mode needs what depends on the change to be linear in it.

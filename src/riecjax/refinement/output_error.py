@@ -30,7 +30,6 @@ standard errors were too small: by a fifth of a normal law at c = 1.345.
 import dataclasses
 import functools
 import math
-from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, TypeAlias
 
@@ -81,19 +80,19 @@ SHORTEST = 2
 """Samples of a window below which it tells nothing."""
 
 
-class AbstractShooting(eqx.Module):
-    """How a recording is cut into windows to simulate."""
+class WholeRecord(eqx.Module):
+    """Each unbroken stretch of a recording at once: single shooting, the output-error fit."""
 
-    @abstractmethod
     def longest(self, record: Record) -> int:
         """How many samples a window has at most.
 
         **Raises:** `ModelError` where that depends on a time step that is being traced.
         """
+        return record.sample_count
 
-    @abstractmethod
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
+        return {"windows": "whole record"}
 
     def shots(
         self, record: Record, inputs: Sequence[str], *, joined: bool = False
@@ -134,19 +133,7 @@ class AbstractShooting(eqx.Module):
         return starts[:, None] + np.minimum(steps[None, :], lengths[:, None] - 1), lengths
 
 
-class WholeRecord(AbstractShooting):
-    """Each unbroken stretch of a recording at once: single shooting, the output-error fit."""
-
-    def longest(self, record: Record) -> int:
-        """All of its samples."""
-        return record.sample_count
-
-    def describe(self) -> dict[str, object]:
-        """Name."""
-        return {"windows": "whole record"}
-
-
-class Tiles(AbstractShooting):
+class Tiles(WholeRecord):
     """Windows of one length side by side: multiple shooting.
 
     Of one time step they make a fit of the equation error, of the whole record an output-error
@@ -163,9 +150,8 @@ class Tiles(AbstractShooting):
     def __check_init__(self):
         if (self.seconds is None) == (self.samples is None):
             raise ModelError("tiles need a length in seconds or in samples, one of the two.")
-        if (self.seconds is not None and self.seconds <= 0) or (
-            self.samples is not None and self.samples < 1
-        ):
+        length = self.samples if self.seconds is None else self.seconds
+        if length is not None and length <= 0:
             raise ModelError("tiles need a positive length.")
 
     def longest(self, record: Record) -> int:
@@ -399,7 +385,7 @@ class OutputError(AbstractObjective):
       whose squares are the loss.
     """
 
-    shooting: AbstractShooting = eqx.field(default_factory=WholeRecord)
+    shooting: WholeRecord = eqx.field(default_factory=WholeRecord)
     channels: tuple[str, ...] | None = eqx.field(static=True, default=None)
     sigma: Mapping[str, float | Array] | None = None
     initial_states: Literal["estimated", "measured"] | Mapping[str, float | Array] = "estimated"
@@ -409,12 +395,11 @@ class OutputError(AbstractObjective):
 
     def __check_init__(self):
         write = "rx.OutputError(rx.refinement.Tiles(0.5)), or without windows rx.OutputError()"
-        require("what OutputError simulates over", self.shooting, AbstractShooting, write)
+        require("what OutputError simulates over", self.shooting, WholeRecord, write)
         require("the method", self.method or FixedStep(), AbstractMethod, "method=rx.FixedStep(8)")
         write = "initial_states='estimated', 'measured' or values by name such as {'x': 0.0}"
         require("initial states", self.initial_states, (str, Mapping), write)
-        channels = self.channels if self.channels is None else f"('{self.channels}',)"
-        write = f"channels={channels}: a tuple of names"
+        write = f"channels=('{self.channels}',): a tuple of names"
         require("channels", self.channels or (), (tuple, list), write)
         words, given = ("estimated", "measured"), self.initial_states
         if isinstance(given, str) and given not in words:
@@ -514,7 +499,7 @@ class OutputError(AbstractObjective):
     def _recorded(
         self, system: AbstractSystem, record: Record, channels: tuple[str, ...], joined: bool
     ) -> Recorded:
-        """What a recording holds in its windows, `joined` as of `AbstractShooting.shots`."""
+        """What a recording holds in its windows, `joined` as of its `shots`."""
         # A missing sample of an input breaks the motion; of a free motion, one of any signal.
         unbroken = system.input_names or tuple(record.arrays)
         windows, lengths = self.shooting.shots(record, unbroken, joined=joined)
@@ -551,7 +536,7 @@ class OutputError(AbstractObjective):
     def by_segments(self, record: Record) -> "list[OutputError]":
         """Over tiles from few samples on, each time `LONGER` as long, and whole records; none where
         it is not over whole records from estimated states."""
-        if not isinstance(self.shooting, WholeRecord) or self.initial_states != "estimated":
+        if isinstance(self.shooting, Tiles) or self.initial_states != "estimated":
             return []
         samples, tiles = record.sample_count // LONGER, []
         while samples >= FEWEST_SAMPLES:
