@@ -176,9 +176,8 @@ def joined(errors: Sequence[EquationError]) -> EquationError:
     """
     series = {}
     for field in ("error", "explained", "present"):
-        parts = [np.asarray(getattr(part, field)) for part in errors]
-        between = np.zeros(1, parts[0].dtype)
-        series[field] = np.concatenate([piece for part in parts for piece in (between, part)][1:])
+        parts = [np.pad(np.asarray(getattr(part, field)), (0, 1)) for part in errors]
+        series[field] = np.concatenate(parts)[:-1]
     first, step = errors[0], float(errors[0].time_step)
     times = [np.asarray(first.times)]
     for part in errors[1:]:

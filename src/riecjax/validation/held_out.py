@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax import arrays as xp
 from riecjax.errors import DataError, SimulationError
-from riecjax.leaves import finite
+from riecjax.leaves import finite, told
 from riecjax.records.record import Record, shared_length
 from riecjax.records.signal import Signal, both
 from riecjax.shows import Drawn
@@ -177,14 +177,14 @@ def unbroken_stretches(
         known = known & np.roll(known, -1) & np.roll(known, -2)
     # Without inputs a pause still breaks the motion: every recorded signal misses its sample there.
     names = system.input_names or tuple(recorded) or tuple(measured.arrays)
-    found = []
+    found, samples = [], measured.sample_count
+    if horizon is not None:
+        samples = max(round(horizon / float(measured.time_step)), SHORTEST_STRETCH)
     for whole in measured.segments(names):
-        edges = [whole.start, whole.stop]
-        if horizon is not None:  # parts of a horizon or a little more
-            samples = max(round(horizon / float(measured.time_step)), SHORTEST_STRETCH)
-            count = max((whole.stop - whole.start) // samples, 1)
-            edges = np.linspace(whole.start, whole.stop, count + 1).tolist()
-        for first, stop in itertools.pairwise(int(edge) for edge in edges):
+        # Parts of a horizon or a little more.
+        count = max((whole.stop - whole.start) // samples, 1)
+        edges = np.linspace(whole.start, whole.stop, count + 1).astype(int).tolist()
+        for first, stop in itertools.pairwise(edges):
             starts = np.flatnonzero(known[first:stop])
             if starts.size and stop - first - starts[0] >= SHORTEST_STRETCH:
                 found.append((first + int(starts[0]), stop))
@@ -242,10 +242,7 @@ class HeldOut(Drawn, eqx.Module):
     def entry(self) -> dict[str, Any]:
         """Everything but the record, as plain data for JSON; fits in percent, `None` if unknown."""
         return {
-            "ran": self.ran,
-            "reason": self.reason,
-            "predicts": self.predicts,
-            "verdict": self.verdict,
+            **told(self, "ran", "reason", "predicts", "verdict"),
             "signals": {
                 name: {
                     "p_percent": finite(one.p),
@@ -367,8 +364,8 @@ def validate_held_out(
         place = system.state_names.index
         drifting = [q for q in drifting if not bool(xp.any(influence[:, :, place(q)]))]
     grades = {name: fits[name].grade for name in judged}
-    told = {*grades.values()} - {"unknown"}
-    predicts = not reason and bool(told) and told <= {"well", "roughly"}
+    graded = {*grades.values()} - {"unknown"}
+    predicts = not reason and bool(graded) and graded <= {"well", "roughly"}
     phrases = {
         "well": "predicted well",
         "roughly": "predicted roughly",

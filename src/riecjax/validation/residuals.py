@@ -79,11 +79,6 @@ class Peak:
     share: float
     size: float
 
-    @property
-    def bandwidth(self) -> float:
-        """Width between the half-power points in hertz."""
-        return self.high - self.low
-
 
 class ErrorSpectrum(NamedTuple):
     """One-sided power spectral densities, in (unit of the equation)^2/Hz.
@@ -99,11 +94,6 @@ class ErrorSpectrum(NamedTuple):
     target: Float[np.ndarray, " frequencies"]
     common: Float[np.ndarray, " frequencies"]
     segments: int
-
-    @property
-    def resolution(self) -> float:
-        """Hertz from one frequency to the next."""
-        return float(self.frequency[1])
 
     @property
     def band(self) -> float:
@@ -132,12 +122,12 @@ class ErrorSpectrum(NamedTuple):
         total = np.sum(self.error, where=(self.frequency > 0) & (self.frequency <= self.band))
         whole, genuine = np.sum(self.target), []
         for top, *ends in peaks(np.maximum(smooth, np.finfo(float).tiny), PROMINENCE):
-            low, high = (end * self.resolution for end in ends)
+            low, high = (end * float(self.frequency[1]) for end in ends)
             inside = (self.frequency >= low) & (self.frequency <= high)
             power = np.sum(self.error, where=inside)
             of_band, size = float(share_of(power, total)), float(np.sqrt(share_of(power, whole)))
             peak = Peak(float(self.frequency[top]), low, high, of_band, size)
-            narrow = peak.bandwidth <= peak.frequency and high < PEAK_BAND * self.band
+            narrow = high - low <= peak.frequency and high < PEAK_BAND * self.band
             if narrow and peak.share >= PEAK_SHARE:
                 genuine.append(peak)
         return max(genuine, key=lambda peak: peak.share, default=None)
@@ -256,52 +246,42 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
     longest = max(round(beta / step), 1)
     lags = np.unique(np.round(np.geomspace(max(alpha / step, 1), longest, LENGTHS)).astype(int))
     length = BLOCK_LENGTH * longest
-    # In the joined errors one value stands between records.
-    sizes = [error.error.size + 1 for error in errors]
-    # Of each record the first sample of each block of time, and over the windows in it the mean
-    # squares of error and target.
-    records = []
-    for error, before in zip(errors, np.cumsum([0, *sizes[:-1]])):
-        # Blocks of each unbroken stretch, the rest of it left out.
-        starts = [
-            start
-            for run in error.runs()
-            for start in range(run.start, run.stop - length + 1, length)
-        ]
-        starts = np.array(starts, int)
-        squares = (
-            _squares(np.asarray(each) * step, starts, lags, length)
-            for each in (error.error, error.target)
-        )
-        records.append(np.array([starts + before, *squares]))
-    count = sum(blocks.shape[1] for blocks in records)
-    if count < 2:
+    # Blocks of time of each unbroken stretch, the rest of it left out.
+    every = joined(errors)
+    runs = [range(run.start, run.stop - length + 1, length) for run in every.runs()]
+    starts = np.array([start for run in runs for start in run], int)
+    if starts.size < 2:
         return None
-    size = max(BLOCKS_TO_STRETCH, -(-count // MOST_STRETCHES))
+    # The first sample of each, and over the windows in it the mean squares of error and target.
+    squares = (_squares(each * step, starts, lags, length) for each in (every.error, every.target))
+    blocks = np.array([starts, *squares])
+    size = max(BLOCKS_TO_STRETCH, -(-starts.size // MOST_STRETCHES))
     stretches: list[np.ndarray] = []
-    for blocks in records:  # each record's as equal as possible
-        if parts := blocks.shape[1] // size:
-            edges = np.linspace(0, blocks.shape[1], parts + 1).astype(int)
-            stretches += np.split(blocks, edges[1:-1], axis=1)
+    # One value stands between records.
+    ends = np.cumsum([error.error.size + 1 for error in errors])
+    for of_record in np.split(blocks, np.searchsorted(starts, ends[:-1]), axis=1):
+        if parts := of_record.shape[1] // size:  # as equal as possible
+            edges = np.linspace(0, of_record.shape[1], parts + 1).astype(int)
+            stretches += np.split(of_record, edges[1:-1], axis=1)
     # Analysis of variance of the logarithms of the blocks' mean squares. A mean square of nu
     # degrees of freedom scatters in proportion to its size, its logarithm by about sqrt(2 / nu)
     # whatever the size, as the analysis presumes; nor does one loud block decide.
-    squares = [square for _, square, _ in stretches]
+    loud = [square for _, square, _ in stretches]
     p_value = float("nan")
-    largest = max((square.max() for square in squares), default=0.0)
-    if len(squares) >= FEWEST_STRETCHES and largest > min(square.min() for square in squares):
-        logarithms = [np.log(np.maximum(square, SILENT * largest)) for square in squares]
+    largest = max((square.max() for square in loud), default=0.0)
+    if len(loud) >= FEWEST_STRETCHES and largest > min(square.min() for square in loud):
+        logarithms = [np.log(np.maximum(square, SILENT * largest)) for square in loud]
         p_value = tails.equal_means(logarithms)
     # Every block holds as many windows, so that means of blocks are means of windows.
-    _, error, target = np.hstack(records).mean(axis=1)
-    middle, half = np.asarray(joined(errors).times), 0.5 * errors[0].span * step
+    _, error, target = blocks.mean(axis=1)
+    middle, half = every.times, 0.5 * every.span * step
     first = np.array([start[0] for start, *_ in stretches], int)
     last = np.array([start[-1] + length - 1 for start, *_ in stretches], int)
     return WindowErrors(
         relative_rms=float(np.sqrt(share_of(error, target))),
         start=middle[first] - half,
         stop=middle[last] + half,
-        mean_square=share_of(np.array([square.mean() for square in squares]), error),
+        mean_square=share_of(np.array([square.mean() for square in loud]), error),
         target_mean_square=share_of(np.array([part[2].mean() for part in stretches]), target),
         p_value=p_value,
     )
@@ -381,8 +361,23 @@ class EquationResidual(NamedTuple):
             doubt = min(left * float(np.sqrt(peak.share)), 1.0)
             step = words if remedy or not python else f"{words}, in Python: {python}"
             made.append(Finding("unmodelled_mode", said, doubt=doubt, remedy=remedy, step=step))
-        found = [*made, *self._uneven()]
-        return [finding._replace(parameters=self.parameters) for finding in found]
+        errors = self.windows
+        if (
+            errors is not None
+            and errors.relative_rms >= NOTABLE_SIZE
+            and errors.p_value < RARE
+            and errors.ratio >= NOTABLE_RATIO
+        ):
+            loud, times = int(np.argmax(errors.mean_square)), np.sqrt(errors.target_ratio)
+            louder = f"{times:.2g} times" if times < 100 else "more than 100 times"
+            said = (
+                f"{self.name}: errors of windows are {np.sqrt(errors.ratio):.2g} times as large "
+                f"from {errors.start[loud]:.4g} to {errors.stop[loud]:.4g} s as in the quietest "
+                f"stretch (the signal {louder}), so the estimate depends on it. See "
+                f"what differs there; leave it out, or identify the stretches one by one."
+            )
+            made.append(Finding("uneven_errors", said))
+        return [finding._replace(parameters=self.parameters) for finding in made]
 
     def _to_add(self) -> tuple[str, tuple[str, ...], str]:
         """What the model may lack, in words, as options of `riecjax identify`, and in Python."""
@@ -393,21 +388,6 @@ class EquationResidual(NamedTuple):
         if not by_sums:
             return element.to_find, (), f"model.with_elements({source}), then rx.refine"
         return element.to_find, element.asked, source
-
-    def _uneven(self) -> Iterator[Finding]:
-        errors = self.windows
-        if errors is None or errors.relative_rms < NOTABLE_SIZE:
-            return
-        if errors.p_value < RARE and errors.ratio >= NOTABLE_RATIO:
-            loud, times = int(np.argmax(errors.mean_square)), np.sqrt(errors.target_ratio)
-            louder = f"{times:.2g} times" if times < 100 else "more than 100 times"
-            yield Finding(
-                "uneven_errors",
-                f"{self.name}: errors of windows are {np.sqrt(errors.ratio):.2g} times as large "
-                f"from {errors.start[loud]:.4g} to {errors.stop[loud]:.4g} s as in the quietest "
-                f"stretch (the signal {louder}), so the estimate depends on it. See "
-                f"what differs there; leave it out, or identify the stretches one by one.",
-            )
 
     def entry(self) -> dict[str, Any]:
         """Numbers of the tests, without the series, as plain data for JSON."""

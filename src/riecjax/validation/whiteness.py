@@ -114,13 +114,8 @@ def whiteness(refined: Estimate, records: list[Record]) -> Whiteness | None:
         for part in residuals.recorded
     ):
         weight = 1 / np.where(size > 0, size, 1.0)
-        slopes = [part.by_initial for part in simulated]
-        series, masks = zip(
-            *(
-                innovations(np.asarray(one * weight), np.asarray(by * weight[:, None]), there)
-                for one, by, there in zip(left, slopes, masks)
-            )
-        )
+        scaled = [(part.left * weight, part.by_initial * weight[:, None]) for part in simulated]
+        series, masks = zip(*(innovations(*of, there) for of, there in zip(scaled, masks)))
     sigma, levels = np.asarray(residuals.sigma), np.asarray(noise_levels(records, residuals.labels))
     channels: dict[str, ChannelWhiteness] = {}
     for j, name in enumerate(residuals.labels):
