@@ -99,7 +99,7 @@ def test_data_drawn_again_choose_what_is_sure_each_time_and_what_is_not_less_oft
     noise = np.random.default_rng(15).standard_normal(len(given))
     weak = search(given @ [1, 0, 0.14, 0, -2, 0, 0, 0] + noise, given)
     chosen = [one for one in weak.offers if one.name in "ce"]
-    shares, errors = again(weak, chosen, seed=0)
+    shares, errors = again(weak, chosen, seed=0, times=40)
     assert shares["e"] == 1.0
     assert 0.2 < shares["c"] < 1.0
     # One coefficient of a thousand rows of unit size.

@@ -222,16 +222,18 @@ def default_candidates(model: Model, records: Sequence[Record]) -> list[AnyCandi
     """
     found: list[AnyCandidate] = []
     for name, equation, motions, unread, units in _motions(model, records):
-        found += _of_unread(unread, motions, equation.unit, units, name)
+        own: list[AnyCandidate] = [*_of_unread(unread, motions, equation.unit, units)]
         for motion in motions:
             after = f"_{motion.name}" if len(motions) > 1 else ""
-            found += _of_motion(motion, equation.unit, records, name, after)
-        found.append(of_term("offset", constant, equation.unit, "constant force", name))
+            of_motion = _of_motion(motion, equation.unit, records)
+            own += [renamed(one, one.name + after) for one in of_motion]
+        own.append(of_term("offset", constant, equation.unit, "constant force"))
         for law in (law for law in states_of_motion() if not law.is_of_motion):
-            drift = Term(law.kind, state_name(law.kind), unit=per(equation.unit, "s"))
             state: Any = law
             state = state(state_name(law.kind))
-            found.append(Candidate(law.kind, (drift,), law.words, name, (state,)))
+            drift = of_term(law.kind, state_name(law.kind), per(equation.unit, "s"), law.words)
+            own.append(replace(drift, elements=(state,)))
+        found += [replace(one, equation=name) for one in own]
     # Those of several equations by the equation's name, where two are called the same.
     called = Counter(candidate.name for candidate in found)
     found = [renamed(c, f"{c.name}_{c.equation}") if called[c.name] > 1 else c for c in found]
@@ -296,28 +298,21 @@ def _motions(
         yield name, equation, motions, others, units
 
 
-def of_term(
-    name: str, of: Expression, unit: str, meaning: str, equation: str, **term: Any
-) -> Candidate:
+def of_term(name: str, of: Expression, unit: str, meaning: str, **term: Any) -> Candidate:
     """A candidate of one term, whose coefficient is called like it."""
-    return Candidate(name, (Term(name, of, unit=unit, **term),), meaning, equation)
+    return Candidate(name, (Term(name, of, unit=unit, **term),), meaning)
 
 
-def _of_motion(
-    motion: Motion, force: str, records: Sequence[Record], equation: str, after: str
-) -> Iterator[AnyCandidate]:
+def _of_motion(motion: Motion, force: str, records: Sequence[Record]) -> Iterator[AnyCandidate]:
     x, v, unit = motion.position, motion.velocity, motion.unit
     speed, slope = f"{unit}/s" if unit else "", per(force, unit)
-
-    def one(name: str, of: Expression, of_unit: str, meaning: str, **term: Any) -> Candidate:
-        return of_term(name + after, of, of_unit, meaning, equation, **term)
 
     def powers(
         listed: Sequence[tuple[str, int, bool, str]], of: str, of_unit: str
     ) -> Iterator[Candidate]:
         for name, p, is_odd, meaning in listed:
             expression = (odd if is_odd else even)(of, p)
-            yield one(name, expression, per(force, of_unit, p) if p else force, meaning)
+            yield of_term(name, expression, per(force, of_unit, p) if p else force, meaning)
 
     def shaped(
         kind: Callable[[float], AbstractShape], name: str, of: str, of_unit: str, meaning: str,
@@ -329,42 +324,40 @@ def _of_motion(
         widths = np.maximum.accumulate(np.maximum(widths, least * np.arange(1, widths.size + 1)))
 
         return Shaped(
-            name + after,
+            name,
             lambda name, width: Terms(name, kind(width), of, unit=coefficient),
             widths,
             of,
             of_unit,
             meaning,
-            equation,
         )
 
     if v or x:
         derivative = {"derivative": 1, "measured": (v,) if v else ()} if x else {}
-        yield one("viscous", x or v, per(force, speed), "viscous friction", **derivative)
+        yield of_term("viscous", x or v, per(force, speed), "viscous friction", **derivative)
     if v:
         yield from powers(FRICTION, v, speed)
         for law in (law for law in states_of_motion() if law.is_of_motion):
             yield Shaped(
-                law.kind + after,
+                law.kind,
                 lambda name, _: Term(name, state_name(name), unit=force),
                 law.widths(v, records),
                 v,
                 unit,
                 law.words,
-                equation,
-                lambda name, width, law=law: law(state_name(name), v, width),
+                remember=lambda name, width, law=law: law(state_name(name), v, width),
             )
         yield shaped(Stribeck, "stribeck", v, speed, "Stribeck friction", force, SPEEDS)
         limited, damping = "friction that saturates", per(force, speed)
         yield shaped(Saturation, "limited_friction", v, speed, limited, damping, LIMITS)
     if x:
-        yield one("stiffness", x, slope, "linear stiffness")
+        yield of_term("stiffness", x, slope, "linear stiffness")
         yield from powers(STIFFNESS, x, unit)
         beyond, limited = "spring beyond a width, as of stops", "force that saturates"
         yield shaped(DeadZone, "dead_zone", x, unit, beyond, slope, WIDTHS)
         yield shaped(Saturation, "saturation", x, unit, limited, slope, WIDTHS)
     if x and v:
-        yield one("product", product(x, v), per(slope, speed), "damping by position")
+        yield of_term("product", product(x, v), per(slope, speed), "damping by position")
 
 
 def state_name(name: str) -> str:
@@ -373,21 +366,17 @@ def state_name(name: str) -> str:
 
 
 def _of_unread(
-    unread: Sequence[str],
-    motions: Sequence[Motion],
-    force: str,
-    units: Mapping[str, str],
-    equation: str,
+    unread: Sequence[str], motions: Sequence[Motion], force: str, units: Mapping[str, str]
 ) -> Iterator[Candidate]:
     """What a signal does that is recorded and not read: by itself, and to friction."""
     for name in unread:
         unit = units.get(name, "")
         own, follows = per(force, unit), f"force that follows {name}"
-        yield of_term(f"signal_{name}", name, own, follows, equation)
+        yield of_term(f"signal_{name}", name, own, follows)
         for v, speed in ((m.velocity, f"{m.unit}/s" if m.unit else "") for m in motions):
             after = f"{name}_{v}" if len(motions) > 1 else name
             if v:
                 by, damping = product(name, v), f"damping that {name} changes"
-                yield of_term(f"viscous_by_{after}", by, per(own, speed), damping, equation)
+                yield of_term(f"viscous_by_{after}", by, per(own, speed), damping)
                 by, friction = product(name, odd(v, 0)), f"dry friction that {name} changes"
-                yield of_term(f"coulomb_by_{after}", by, own, friction, equation)
+                yield of_term(f"coulomb_by_{after}", by, own, friction)

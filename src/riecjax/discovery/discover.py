@@ -330,9 +330,33 @@ def _with_element(asked: Question, found: Discovery, recordings: list[Recording]
         for kind in discovered_kinds()
         for place in reversed(kind.places(equations[name], model.equations))
     ]
+
+    def beside(name: str, element: Element) -> tuple[tuple[Chosen, ...], Estimate]:
+        """Terms that stay beside an element, and the estimate with both, of a named equation."""
+
+        def estimate(chosen: Sequence[Chosen], by: Question = asked) -> Estimate:
+            larger = extended(model, [one.candidate for one in chosen])
+            return _identified(by, larger.with_elements(element), recordings, criterion)
+
+        alone = estimate(())
+        left = _step(element.kind, alone.equations[name])
+        if not found.chosen or not is_more_than_noise(left):
+            return (), alone
+        # Standard errors by blocks of time, whatever intervals were asked for.
+        both = estimate(found.chosen, asked._replace(intervals=None))
+
+        def is_told(name: str) -> bool:
+            return abs(float(both[name])) > TOLD * float(both.standard_error(name))
+
+        stay = tuple(one for one in found.chosen if any(map(is_told, one.candidate.columns)))
+        if len(stay) < len(found.chosen) or asked.intervals is not None:
+            both = estimate(stay) if stay else alone
+        less = _step(element.kind, both.equations[name]).of_motion < 0.5 * left.of_motion
+        return (stay, both) if less else ((), alone)
+
     for name, element in tried:
         try:
-            chosen, estimate = _beside(asked, found, recordings, criterion, name, element)
+            chosen, estimate = beside(name, element)
         except RiecjaxError:  # none is to be found there
             continue
         left, most = estimate.equations[name].model_rms, LEAVES * float(fits[name].model_rms)
@@ -358,38 +382,6 @@ def _with_element(asked: Question, found: Discovery, recordings: list[Recording]
             errors=dict(zip(estimate.parameters, map(float, estimate.standard_errors))),
         )
     return found
-
-
-def _beside(
-    asked: Question,
-    found: Discovery,
-    recordings: list[Recording],
-    criterion: AbstractCriterion | None,
-    name: str,
-    element: Element,
-) -> tuple[tuple[Chosen, ...], Estimate]:
-    """Terms that stay beside an element, and the estimate with both, of a named equation."""
-
-    def estimate(chosen: Sequence[Chosen], by: Question = asked) -> Estimate:
-        larger = extended(found.start, [one.candidate for one in chosen])
-        return _identified(by, larger.with_elements(element), recordings, criterion)
-
-    alone = estimate(())
-    left = _step(element.kind, alone.equations[name])
-    if not found.chosen or not is_more_than_noise(left):
-        return (), alone
-    # Standard errors by blocks of time, whatever intervals were asked for.
-    both = estimate(found.chosen, asked._replace(intervals=None))
-    errors = dict(zip(both.parameters, map(float, both.standard_errors), strict=True))
-    stay = tuple(
-        one
-        for one in found.chosen
-        if any(abs(float(both[n])) > TOLD * errors[n] for n in one.candidate.columns)
-    )
-    if len(stay) < len(found.chosen) or asked.intervals is not None:
-        both = estimate(stay) if stay else alone
-    less = _step(element.kind, both.equations[name]).of_motion < 0.5 * left.of_motion
-    return (stay, both) if less else ((), alone)
 
 
 def _step(added: str, fit: EquationFit) -> Step:

@@ -308,12 +308,8 @@ class Search:
         return float(np.sqrt(np.sum(slopes**2)) / bend) if bend > 0 else float("nan")
 
 
-AGAIN = 40
-"""Searches."""
-
-
 def again(
-    search: Search, chosen: Sequence[Candidate], seed: int, times: int = AGAIN
+    search: Search, chosen: Sequence[Candidate], seed: int, times: int
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Search again from folds drawn with replacement.
 
