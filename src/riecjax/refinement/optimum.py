@@ -278,16 +278,8 @@ def begun(residuals: AbstractResiduals) -> Place:
     """
     start, initial = residuals.start, residuals.initial
     expansion = residuals.at(start, initial)._replace(simulated=())
-    energy = _profiled(residuals, expansion)
-    cost, rms = xp.sum(energy), residuals.rms(energy)
-    return Place(start, initial, cost, rms, ~xp.isfinite(cost), np.asarray(0), expansion)
-
-
-def _profiled(residuals: AbstractResiduals, first: Expansion) -> Energies:
-    if not residuals.initial_state_names:
-        return first.energy
-    held, first = xp.stop_gradient((residuals, first))
-    start, p = held.start, len(held.table.free)
+    held, first = xp.stop_gradient((residuals, expansion))
+    p = len(held.table.free)
 
     # The next initial states to try, the least energy so far, trials left, and whether to go on.
     def improved(trial: Initial, at: Expansion, least: Any, trials: Any) -> Any:
@@ -299,13 +291,17 @@ def _profiled(residuals: AbstractResiduals, first: Expansion) -> Energies:
         going = better & (-xp.sum(gradient * step) > PROFILED * xp.sum(energy))
         return trial + step[:, :, 0], energy, trials - 1, going & (trials > 0)
 
-    none = np.full(len(residuals.labels), np.inf, start.dtype)
-    return xp.repeated_while(
-        lambda state: state[3],
-        lambda state: improved(state[0], held.at(start, state[0]), *state[1:3]),
-        improved(held.initial, first, none, np.asarray(MOST_TRIALS)),
-        beside=held,
-    )[1]
+    energy = expansion.energy
+    if residuals.initial_state_names:
+        none = np.full(len(residuals.labels), np.inf, start.dtype)
+        energy = xp.repeated_while(
+            lambda state: state[3],
+            lambda state: improved(state[0], held.at(held.start, state[0]), *state[1:3]),
+            improved(held.initial, first, none, np.asarray(MOST_TRIALS)),
+            beside=held,
+        )[1]
+    cost, rms = xp.sum(energy), residuals.rms(energy)
+    return Place(start, initial, cost, rms, ~xp.isfinite(cost), np.asarray(0), expansion)
 
 
 class Problem(NamedTuple):
@@ -405,9 +401,8 @@ def levenberg_marquardt(
         step, work, damped = at.step(damping)
         step = jax.tree.map(lambda leaf: xp.where(xp.isfinite(leaf), leaf, 0.0), step)
         flat = (work <= flat_cosine**2 * at.energy) & (damped <= LITTLE_DAMPING * work)
-        # Of parameters, and of initial states.
-        pairs = (step.parameters, point.parameters), (step.initial, point.initial)
-        stuck = xp.all(xp.stack([_largest(moved) <= NO_STEP * _largest(to) for moved, to in pairs]))
+        still = [_largest(moved) <= NO_STEP * _largest(to) for moved, to in zip(step, point)]
+        stuck = xp.all(xp.stack(still))
         if report is not None:
             tell = jax.debug.callback if xp.is_traced(at.energy) else lambda f, x: f(x)
             tell(report, at.energy)

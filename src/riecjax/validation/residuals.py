@@ -253,7 +253,10 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
     if starts.size < 2:
         return None
     # The first sample of each, and over the windows in it the mean squares of error and target.
-    squares = (_squares(each * step, starts, lags, length) for each in (every.error, every.target))
+    squares = (
+        _squares(np.asarray(each) * step, starts, lags, length)
+        for each in (every.error, every.target)
+    )
     blocks = np.array([starts, *squares])
     size = max(BLOCKS_TO_STRETCH, -(-starts.size // MOST_STRETCHES))
     stretches: list[np.ndarray] = []
@@ -274,7 +277,7 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
         p_value = tails.equal_means(logarithms)
     # Every block holds as many windows, so that means of blocks are means of windows.
     _, error, target = blocks.mean(axis=1)
-    middle, half = every.times, 0.5 * every.span * step
+    middle, half = np.asarray(every.times), 0.5 * every.span * step
     first = np.array([start[0] for start, *_ in stretches], int)
     last = np.array([start[-1] + length - 1 for start, *_ in stretches], int)
     return WindowErrors(
@@ -346,7 +349,15 @@ class EquationResidual(NamedTuple):
         made: list[Finding] = []
         peak = None if self.explained else self.peak
         if peak is not None and peak.size >= NOTABLE_SIZE:
-            words, remedy, python = self._to_add()
+            # What the model may lack, in words, as options of `riecjax identify`, and in Python.
+            words, remedy, python = "", (), ""
+            if self.lacking is not None:
+                element, by_sums = self.lacking
+                words, python = element.to_find, element.source.replace('"', "'")
+                if by_sums:
+                    remedy = element.asked
+                else:
+                    python = f"model.with_elements({python}), then rx.refine"
             ways = "; ".join(filter(None, (" ".join(remedy), f"in Python: {python}")))
             said = (
                 f"{self.name}: the equation error peaks near {peak.frequency:.3g} Hz, and "
@@ -378,16 +389,6 @@ class EquationResidual(NamedTuple):
             )
             made.append(Finding("uneven_errors", said))
         return [finding._replace(parameters=self.parameters) for finding in made]
-
-    def _to_add(self) -> tuple[str, tuple[str, ...], str]:
-        """What the model may lack, in words, as options of `riecjax identify`, and in Python."""
-        if self.lacking is None:
-            return "", (), ""
-        element, by_sums = self.lacking
-        source = element.source.replace('"', "'")
-        if not by_sums:
-            return element.to_find, (), f"model.with_elements({source}), then rx.refine"
-        return element.to_find, element.asked, source
 
     def entry(self) -> dict[str, Any]:
         """Numbers of the tests, without the series, as plain data for JSON."""

@@ -101,7 +101,7 @@ def whiteness(refined: Estimate, records: list[Record]) -> Whiteness | None:
     residuals, at = refined.search.residuals, (refined.theta, refined.search.initial_states)
     if not isinstance(residuals, OutputResiduals):
         return None
-    simulated = residuals.at(*at).simulated
+    simulated: Any = residuals.at(*at).simulated
     left = [part.left for part in simulated]
     masks = [np.asarray(part.present) for part in residuals.recorded]
     if not all(np.isfinite(part).all() for part in left):
