@@ -142,13 +142,12 @@ class Causes:
                 if doubt not in near and (self.is_sure(doubt, best) or self._zero_hiding(doubt))
             ]
             sure.sort(key=lambda doubt: -told[doubt].gained)
-            states = [doubt for doubt in sure if doubt.kind == STATES]
-            sure = [doubt for doubt in sure if doubt not in states[1:]]
+            sure = [doubt for doubt in sure if doubt not in _states(sure)[1:]]
             near += sure[:most]
             best = sure[:1]
             if not best:
                 break
-        turning = [doubt.elements[0].place for doubt in near if doubt.kind == STATES]
+        turning = [doubt.elements[0].place for doubt in _states(near)]
         near += [doubt for doubt in self.of(STATES) if doubt.elements[0].place in turning]
         drifting = {doubt.signals for doubt in near if doubt.kind == "drift"}
         near += [doubt for doubt in self.of("zero") if doubt.signals in drifting]
@@ -162,22 +161,16 @@ class Causes:
         chosen: list[Doubt] = []
         among = list(among)
         while self.folds.number >= FEWEST and len(chosen) < MOST:
-            others = [
-                doubt
-                for doubt in among
-                if doubt not in chosen and (doubt in sure or self.is_sure(doubt, chosen))
-                if doubt.kind != STATES or STATES not in {one.kind for one in chosen}
-            ]
-            best = min(others, key=lambda doubt: self.left([*chosen, doubt]), default=None)
-            if best is None or not self.left([*chosen, best]) < self.left(chosen):
+            others = [doubt for doubt in among if doubt.kind != STATES or not _states(chosen)]
+            best = self._best(others, chosen, sure)
+            if best is None:
                 break
             if self.is_little(self.left([*chosen, best])) and self._reproduces([*chosen, best]):
                 among.remove(best)
                 continue
             chosen.append(min(self._alike(best, chosen, among), key=_simplicity))
             # Of a state the width that leaves least beside the others.
-            widths = [doubt for doubt in among if doubt.kind == STATES]
-            found = ([a if one.kind == STATES else one for one in chosen] for a in widths)
+            found = ([a if one.kind == STATES else one for one in chosen] for a in _states(among))
             chosen = min([chosen, *found], key=self.left)
             if self.is_little(self.left(chosen)):
                 return self._pruned(chosen)
@@ -192,19 +185,20 @@ class Causes:
         it; those that they are beside come first."""
         chosen = [*beside]
         while self.folds.number >= FEWEST and len(chosen) < MOST:
-            others = [
-                doubt
-                for doubt in self.offered
-                if doubt not in chosen and doubt.kind != STATES
-                if self.is_sure(doubt, chosen)
-            ]
-            best = min(others, key=lambda doubt: self.left([*chosen, doubt]), default=None)
-            if best is None or not self.left([*chosen, best]) < self.left(chosen):
-                break
-            if self._reproduces([*chosen, best]):
+            best = self._best([one for one in self.offered if one.kind != STATES], chosen)
+            if best is None or self._reproduces([*chosen, best]):
                 break
             chosen.append(best)
         return chosen
+
+    def _best(
+        self, among: Sequence[Doubt], chosen: Sequence[Doubt], sure: Container[Doubt] = ()
+    ) -> Doubt | None:
+        """The doubt with which least is left beside those that are chosen, if less is with it."""
+        some = [one for one in among if one not in chosen]
+        some = [one for one in some if one in sure or self.is_sure(one, chosen)]
+        best = min(some, key=lambda doubt: self.left([*chosen, doubt]), default=None)
+        return best if best and self.left([*chosen, best]) < self.left(chosen) else None
 
     def _zero_hiding(self, doubt: Doubt) -> list[Doubt]:
         """The zero of a signal beside which it surely drifts, if that is doubted."""
@@ -282,6 +276,10 @@ class Causes:
             if self.is_little(left) and left <= CLEARER * self.left(chosen):
                 return self._pruned(rest)
         return chosen
+
+
+def _states(doubts: Sequence[Doubt]) -> list[Doubt]:
+    return [doubt for doubt in doubts if doubt.kind == STATES]
 
 
 def _simplicity(doubt: Doubt) -> int:

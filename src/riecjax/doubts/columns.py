@@ -114,23 +114,26 @@ class Doubt:
     elements: tuple[Element, ...] = ()
 
 
-class _Windows(NamedTuple):
-    """Windows of one record, by ascending start, and the fold of time that each belongs to."""
+class _Part(NamedTuple):
+    """What is looked at of one record: windows by ascending start, the fold of time that each
+    belongs to, and noisy `copies`."""
 
+    record: Record
     drawn: WindowSet
     fold: Int[np.ndarray, " rows"]
+    copies: Sequence[tuple[Record, Record]]
 
 
-def windows_of(criterion: AbstractCriterion, records: Sequence[Record]) -> list[_Windows]:
+def _parts(criterion: AbstractCriterion, records: Sequence[Record], probes: int) -> list[_Part]:
     """Of each record windows of all lengths, spread evenly; in folds of two longest ones."""
     assert criterion.windows is not None
     multiple = criterion.test_function.length_multiple
-    sizes = [record.sample_count for record in records]
-    spans = [size * float(record.time_step) for size, record in zip(sizes, records)]
+    spans = [record.sample_count * float(record.time_step) for record in records]
     longest = BLOCK * float(criterion.windows.beta)
     folds = int(np.clip(sum(spans) / longest, 1, FOLDS))
     found, before = [], 0.0
-    for record, size, span in zip(records, sizes, spans):
+    for record, span in zip(records, spans):
+        size = record.sample_count
         first, last = criterion.windows.every.lags(record, multiple)
         count = max(int(ROWS * span / sum(spans)), 1)
         at = np.arange(count)
@@ -140,12 +143,13 @@ def windows_of(criterion: AbstractCriterion, records: Sequence[Record]) -> list[
         start, length = start[order], length[order]
         time = before + start * float(record.time_step)
         fold = np.minimum((time / sum(spans) * folds).astype(int), folds - 1)
-        found.append(_Windows(WindowSet(start, start + length), fold))
+        copies = [_noisy_copies(record, number) for number in range(probes)]
+        found.append(_Part(record, WindowSet(start, start + length), fold, copies))
         before += span
     return found
 
 
-def noisy_copies(record: Record, number: int) -> tuple[Record, Record]:
+def _noisy_copies(record: Record, number: int) -> tuple[Record, Record]:
     """The record with noise as each sensor's added, and with the same noise subtracted."""
     rng = np.random.default_rng(number)
     white = {s: rng.standard_normal(record.sample_count) for s in record.noise.sources}
@@ -191,105 +195,6 @@ def _products(
     return np.stack([part @ part.T for part in parts])
 
 
-@dataclass(frozen=True, eq=False)
-class _Columns:
-    """How one equation's columns are made, with the terms that it may lack.
-
-    **Fields:** the `plain` equation, and that of terms which it may have `lacked`; `doubts` of
-    sensors, and of `elements`; `values` of the estimate, of known coefficients too; `criterion`;
-    whose `noise` is taken off.
-    """
-
-    plain: Equation
-    lacked: Equation | None
-    doubts: Sequence[Doubt]
-    elements: Sequence[Doubt]
-    values: Mapping[str, float]
-    criterion: AbstractCriterion
-    noise: str
-
-    def rows(
-        self, record: Record, windows: _Windows, copies: Sequence[tuple[Record, Record]], folds: int
-    ) -> _Rows:
-        """Rows on one record, and what the noise of its `copies` makes of them."""
-        criterion, smoothness = self.criterion, self.criterion.smoothness
-        read = self.plain.signals_read(record, smoothness)
-        sensors = [doubt for doubt in self.doubts if read & {*doubt.signals}]
-        filters = [doubt.lacked for doubt in self.elements if doubt.lacked is not None]
-        touched = sorted({name for doubt in sensors for name in doubt.signals if name in read})
-        slopes = {name: self._slope(record, name) for name in touched}
-        time = np.asarray(record.elapsed, float)
-        time = time - 0.5 * (time[0] + time[-1])
-        every = self.noise == "all"
-        own = [criterion.noisy_columns(self.plain, record).columns]
-        if self.lacked is not None:
-            noisy = criterion.noisy_columns(self.lacked, record) if every else None
-            own.append(noisy.columns if noisy else sampled_columns(self.lacked, record, smoothness))
-        masks = [each.present for each in own if each.present is not None]
-        present = np.all(masks, axis=0) if masks else None
-
-        def by_column(*of: Columns) -> Iterator[Values]:
-            for number, each in enumerate(of):  # of the first its target, too
-                yield from np.moveaxis(each.values, 1, 0)[min(number, 1) :]
-
-        def changed(of: Record) -> Iterator[Values]:
-            samples = {name: np.asarray(of.arrays[name], float) for name in touched}
-            rates = {name: np.gradient(samples[name], float(of.time_step)) for name in touched}
-            for doubt in sensors:
-                own, course = [name for name in doubt.signals if name in slopes], doubt.course
-                assert course is not None
-                parts = (slopes[n] * course(samples[n], rates[n], time) for n in own)
-                yield sum(parts, start=np.zeros(time.size))
-
-        def filtered(of: Record) -> Iterator[Values]:
-            # Twice as long, so that no end of the response comes round.
-            size = 2 * int(scipy.fft.next_fast_len(time.size, real=True) or time.size)
-            s = 2j * np.pi * np.fft.rfftfreq(size, float(of.time_step))
-            samples = {name: np.asarray(of.arrays[name]) for name in {f.signal for f in filters}}
-            spectra = {name: np.fft.rfft(x - x.mean(), size) for name, x in samples.items()}
-            for one in filters:
-                column = np.zeros((1 + smoothness, time.size))
-                behind = np.fft.irfft(spectra[one.signal] * one.response(s), size)
-                column[one.order] = behind[: time.size]
-                yield column
-
-        def integrated(columns: Iterable[Values]) -> Windowed:
-            rows, columns = [], iter(columns)
-            while some := [*itertools.islice(columns, max(MOST_SAMPLES // time.size, 1))]:
-                values, names = np.stack(some, axis=1), ("",) * (len(some) - 1)
-                made = Columns(values, present, own[0].time_step, names)
-                found, valid = criterion.test_function.integrals(made, windows.drawn)
-                rows.append(found if valid is None else np.where(valid, found, 0.0))
-            return np.concatenate(rows)
-
-        def read_of(side: Record) -> Iterator[Values]:
-            equations = [self.plain, *([self.lacked] if self.lacked and every else [])]
-            yield from by_column(*(sampled_columns(e, side, smoothness) for e in equations))
-            yield from itertools.chain(changed(side), filtered(side)) if every else ()
-
-        columns = [name for each in own for name in each.parameters]
-        columns += [doubt.name for doubt in (*sensors, *self.elements)]
-        rows = integrated(itertools.chain(by_column(*own), changed(record), filtered(record)))
-        added = np.zeros((folds, len(rows), len(rows)))
-        if any(record.noise.kernels.get(name) for name in read):
-            for sides in copies:
-                made = integrated(0.5 * (high - low) for high, low in zip(*map(read_of, sides)))
-                at = slice(len(made))
-                added[:, at, at] += _products(made, windows.fold, folds) / len(copies)
-        return _Rows(tuple(columns), rows, added)
-
-    def _slope(self, record: Record, name: str) -> Values:
-        """How the residual changes with a signal."""
-        signal = record.signal(name)
-        size = max(float(record.noise.std(name)), SLIGHT * float(np.std(signal.values))) or 1.0
-        sides = (replace(signal, values=signal.values + size * sign) for sign in (1, -1))
-        records = (record.with_signals({name: side}) for side in sides)
-        smoothness = self.criterion.smoothness
-        high, low = (sampled_columns(self.plain, each, smoothness).values for each in records)
-        row = np.array([1.0, *(-self.values[name] for name in self.plain.parameters)])
-        return np.einsum("j,ojn->on", row, high - low) / (2 * size)
-
-
 class Asked(NamedTuple):
     """What is doubted: a `model` with `values` of all parameters, some of them `known`, by all
     windows of a `criterion`; the columns of parameters, where it is known which are free, `base`;
@@ -302,6 +207,13 @@ class Asked(NamedTuple):
     known: Mapping[str, float]
     base: Collection[str] = ()
     stages: Collection[int] = ()
+
+    @property
+    def equations(self) -> Iterator[tuple[int, str, Equation]]:
+        """Each equation of the model, with its stage and its name."""
+        of_stages = zip(self.model.equation_names, self.model.stages)
+        for number, both in enumerate(of_stages):
+            yield from ((number, *one) for one in zip(*both, strict=True))
 
     @property
     def resting_on_earlier(self) -> set[str]:
@@ -333,6 +245,99 @@ class Asked(NamedTuple):
         return cls(model, estimate.criterion, values, known)
 
 
+def _rows(
+    asked: Asked,
+    plain: Equation,
+    larger: Equation,
+    doubts: Sequence[Doubt],
+    noise: str,
+    part: _Part,
+    folds: int,
+) -> _Rows:
+    """Rows of one equation on one record, and what the noise of its copies makes of them.
+
+    **Arguments:** the equation as it is, `plain`, and `larger` by terms that it may lack; `doubts`
+    of sensors, and of its elements; whose `noise` is taken off.
+    """
+    record, criterion, smoothness = part.record, asked.criterion, asked.criterion.smoothness
+    read, every = plain.signals_read(record, smoothness), noise == "all"
+    sensors = [one for one in doubts if one.course is not None and read & {*one.signals}]
+    filters = [one.lacked for one in doubts if one.lacked is not None]
+    touched = sorted({name for doubt in sensors for name in doubt.signals if name in read})
+    slopes = {name: _slope(asked, plain, record, name) for name in touched}
+    time = np.asarray(record.elapsed, float)
+    time = time - 0.5 * (time[0] + time[-1])
+    own, terms = [criterion.noisy_columns(plain, record).columns], larger.terms[len(plain.terms) :]
+    lacked = plain.of_terms(*terms) if terms else None
+    if lacked is not None:
+        noisy = criterion.noisy_columns(lacked, record) if every else None
+        own.append(noisy.columns if noisy else sampled_columns(lacked, record, smoothness))
+    masks = [each.present for each in own if each.present is not None]
+    present = np.all(masks, axis=0) if masks else None
+
+    def by_column(*of: Columns) -> Iterator[Values]:
+        for number, each in enumerate(of):  # of the first its target, too
+            yield from np.moveaxis(each.values, 1, 0)[min(number, 1) :]
+
+    def changed(of: Record) -> Iterator[Values]:
+        samples = {name: np.asarray(of.arrays[name], float) for name in touched}
+        rates = {name: np.gradient(samples[name], float(of.time_step)) for name in touched}
+        for doubt in sensors:
+            own, course = [name for name in doubt.signals if name in slopes], doubt.course
+            assert course is not None
+            parts = (slopes[n] * course(samples[n], rates[n], time) for n in own)
+            yield sum(parts, start=np.zeros(time.size))
+
+    def filtered(of: Record) -> Iterator[Values]:
+        # Twice as long, so that no end of the response comes round.
+        size = 2 * int(scipy.fft.next_fast_len(time.size, real=True) or time.size)
+        s = 2j * np.pi * np.fft.rfftfreq(size, float(of.time_step))
+        samples = {name: np.asarray(of.arrays[name]) for name in {f.signal for f in filters}}
+        spectra = {name: np.fft.rfft(x - x.mean(), size) for name, x in samples.items()}
+        for one in filters:
+            column = np.zeros((1 + smoothness, time.size))
+            behind = np.fft.irfft(spectra[one.signal] * one.response(s), size)
+            column[one.order] = behind[: time.size]
+            yield column
+
+    def integrated(columns: Iterable[Values]) -> Windowed:
+        rows, columns = [], iter(columns)
+        while some := [*itertools.islice(columns, max(MOST_SAMPLES // time.size, 1))]:
+            values, names = np.stack(some, axis=1), ("",) * (len(some) - 1)
+            made = Columns(values, present, own[0].time_step, names)
+            found, valid = criterion.test_function.integrals(made, part.drawn)
+            rows.append(found if valid is None else np.where(valid, found, 0.0))
+        return np.concatenate(rows)
+
+    def read_of(side: Record) -> Iterator[Values]:
+        equations = [plain, *([lacked] if lacked and every else [])]
+        yield from by_column(*(sampled_columns(e, side, smoothness) for e in equations))
+        yield from itertools.chain(changed(side), filtered(side)) if every else ()
+
+    columns = [name for each in own for name in each.parameters]
+    columns += [one.name for one in (*sensors, *(one for one in doubts if one.lacked))]
+    rows = integrated(itertools.chain(by_column(*own), changed(record), filtered(record)))
+    added = np.zeros((folds, len(rows), len(rows)))
+    if any(record.noise.kernels.get(name) for name in read):
+        for sides in part.copies:
+            made = integrated(0.5 * (high - low) for high, low in zip(*map(read_of, sides)))
+            at = slice(len(made))
+            added[:, at, at] += _products(made, part.fold, folds) / len(part.copies)
+    return _Rows(tuple(columns), rows, added)
+
+
+def _slope(asked: Asked, equation: Equation, record: Record, name: str) -> Values:
+    """How the residual changes with a signal."""
+    signal = record.signal(name)
+    size = max(float(record.noise.std(name)), SLIGHT * float(np.std(signal.values))) or 1.0
+    sides = (replace(signal, values=signal.values + size * sign) for sign in (1, -1))
+    records = (record.with_signals({name: side}) for side in sides)
+    smoothness = asked.criterion.smoothness
+    high, low = (sampled_columns(equation, each, smoothness).values for each in records)
+    row = np.array([1.0, *(-asked.values[name] for name in equation.parameters)])
+    return np.einsum("j,ojn->on", row, high - low) / (2 * size)
+
+
 def folds_of(
     asked: Asked,
     records: Sequence[Record],
@@ -347,40 +352,28 @@ def folds_of(
     **Arguments:** `noise` that is taken off the products of `all` columns, of the `plain` ones of
     parameters alone, or of none.
     """
-    model, criterion, values = asked.model, asked.criterion, asked.values
-    terms: dict[str, list[AbstractTerm]] = {}
+    model, values, terms = asked.model, asked.values, dict[str, list[AbstractTerm]]()
     for doubt in doubts:
         if doubt.term is not None:
             terms.setdefault(doubt.equation, []).append(doubt.term)
     records = [each.part(0, min(each.sample_count, MOST_SAMPLES)) for each in records]
     for element in (*model.elements, *(each for doubt in doubts for each in doubt.elements)):
         records = [element.with_states(record) for record in records]
-    windows = windows_of(criterion, records)
-    fold = np.concatenate([each.fold for each in windows])
+    parts = _parts(asked.criterion, records, PROBES[noise])
+    fold = np.concatenate([each.fold for each in parts])
     count = 1 + int(fold[-1])
-    copies = [[noisy_copies(one, i) for i in range(PROBES[noise])] for one in records]
-    sensors = [doubt for doubt in doubts if doubt.course is not None]
-    earlier: dict[str, float] = {}
-    stages: list[_Rows] = []
+    earlier, stages = dict[str, float](), list[_Rows]()
     larger = model.with_terms(terms) if terms else model
     for number, (equations, further) in enumerate(zip(model.stages, larger.stages, strict=True)):
-        values_here = {n: values[n] for e in equations for n in e.parameters if n in values}
-        parts = []
-        for name, equation, with_all in zip(
-            model.equation_names[number], equations, further, strict=True
-        ):
-            if asked.stages and number not in asked.stages:
-                continue
-            own = with_all.terms[len(equation.terms) :]
-            lacked = equation.of_terms(*own) if own else None
-            elements = [one for one in doubts if one.lacked is not None and one.equation == name]
-            columns = _Columns(equation, lacked, sensors, elements, values, criterion, noise)
-            of_each = zip(records, windows, copies, strict=True)
-            parts.append(_joined([columns.rows(*one, count) for one in of_each]))
-        if parts:
-            doubted = {doubt.name for doubt in doubts}
-            stages.append(_of_stage(parts, f"{number}.", asked, earlier, doubted))
-        earlier |= values_here
+        if not asked.stages or number in asked.stages:
+            rows = []
+            names = model.equation_names[number]
+            for name, plain, with_all in zip(names, equations, further, strict=True):
+                some = [one for one in doubts if one.lacked is None or one.equation == name]
+                own = (_rows(asked, plain, with_all, some, noise, one, count) for one in parts)
+                rows.append(_joined([*own]))
+            stages.append(_of_stage(rows, f"{number}.", asked, earlier, {d.name for d in doubts}))
+        earlier |= {n: values[n] for e in equations for n in e.parameters if n in values}
     names = tuple(dict.fromkeys(name for stage in stages for name in stage.names))
     samples = np.zeros((count, 1 + len(names), 1 + len(names)))
     added = np.zeros_like(samples)
@@ -394,8 +387,6 @@ def folds_of(
 
 def _joined(parts: Sequence[_Rows]) -> _Rows:
     """Rows of one equation on one record after the other."""
-    if len(parts) == 1:
-        return parts[0]
     rows = np.concatenate([part.rows for part in parts], axis=1)
     return _Rows(parts[0].names, rows, np.sum([part.noise for part in parts], axis=0))
 
@@ -418,18 +409,15 @@ def _of_stage(
         free = [name for name in every if name not in known]
         return _joined([part.among(free, known) for part in parts])
 
-    again = {name: earlier[name] for name in every if name in earlier and name not in asked.known}
-    if asked.base:
-        again = {name: value for name, value in again.items() if prefix + name not in asked.base}
-        found = with_known({**asked.known, **again})
-    else:
-        found = with_known(asked.known)
-    if again and not asked.base:
+    free = [name for name in every if f"{prefix}{name}" not in asked.base]
+    known = {name: earlier[name] for name in free if name in earlier} | {**asked.known}
+    found = with_known(known if asked.base else asked.known)
+    if known.keys() - asked.known and not asked.base:
         at = [i for i, name in enumerate(found.names, 1) if name not in doubts]
         gram = found.rows[at] @ found.rows[at].T - found.noise.sum(0)[np.ix_(at, at)]
         apart = np.all(np.diagonal(gram) > 0) and bool(np.any(found.rows[0]))
         if not apart or np.linalg.eigvalsh(unit_diagonal(gram)[0])[0] < APART:
-            found = with_known({**asked.known, **again})
+            found = with_known(known)
     names = tuple(name if name in doubts else f"{prefix}{name}" for name in found.names)
     return found._replace(names=names)
 

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from riecjax.doubts.columns import Asked, Doubt, Lacked, folds_of
 from riecjax.elements.catalogue import doubted_kinds
 from riecjax.equations.element import Element
+from riecjax.equations.equation import Equation
 from riecjax.equations.term import AbstractTerm
 from riecjax.records.record import Record
 
@@ -41,17 +42,15 @@ class Candidate(NamedTuple):
 def elsewhere(best: Candidate, records: Sequence[Record]) -> list[tuple[Doubt, Asked]]:
     """The same element in equations of other stages that hold what it acts on, each with what is
     asked of that stage: they take its coefficient for that of both."""
-    found = []
-    for stage, names in enumerate(best.asked.model.equation_names):
-        for name, equation in zip(names, best.asked.model.stages[stage], strict=True):
-            if name == best.doubt.equation or stage in best.asked.stages:
-                continue
-            of = _recorded(best.shape.element.term_in(equation), best.asked, records)
-            if of is not None:
-                signal, order, sign = of
-                shape = replace(best.shape, signal=signal, order=order, sign=sign)
-                doubt = replace(best.doubt, equation=name, lacked=shape)
-                found.append((doubt, best.asked._replace(stages=[stage])))
+    found, lacked = [], best.shape
+    for stage, name, equation in best.asked.equations:
+        if name == best.doubt.equation or stage in best.asked.stages:
+            continue
+        of = _recorded(lacked.element.term_in(equation), best.asked, records)
+        if of is not None:
+            shape = Lacked(lacked.element, *of, lacked.at)
+            doubt = replace(best.doubt, equation=name, lacked=shape)
+            found.append((doubt, best.asked._replace(stages=[stage])))
     return found
 
 
@@ -74,27 +73,18 @@ def _recorded(
 
 def best_element(asked: Asked, records: Sequence[Record]) -> Candidate | None:
     """The element of positive size that gains most, of all places; `None` where there is none."""
-    found, seen = [], set[Element]()
-    equations = [
-        (stage, name, equation)
-        for stage, (names, some) in enumerate(zip(asked.model.equation_names, asked.model.stages))
-        for name, equation in zip(names, some, strict=True)
-    ]
-    for stage, name, equation in equations:
-        elements = [
-            kind.at(place)
-            for kind in doubted_kinds()
-            for place in kind.places(equation, asked.model.equations)
-        ]
-        # Later stages that hold a body know its mass from the first.
-        for element in (element for element in elements if element not in seen):
-            seen.add(element)
-            recorded = _recorded(element.term_in(equation), asked, records)
-            if recorded is not None:
-                of = Lacked(element, *recorded, ())
-                best = _of_element(asked._replace(stages=[stage]), records, name, of)
-                found += [] if best is None else [best]
-    return max(found, key=lambda one: one.gained, default=None)
+    # Later stages that hold a body know its mass from the first.
+    first: dict[Element, tuple[int, str, Equation]] = {}
+    for of in asked.equations:
+        for kind in doubted_kinds():
+            for place in kind.places(of[2], asked.model.equations):
+                first.setdefault(kind.at(place), of)
+    found = []
+    for element, (stage, name, equation) in first.items():
+        if (recorded := _recorded(element.term_in(equation), asked, records)) is not None:
+            lacked = Lacked(element, *recorded, ())
+            found.append(_of_element(asked._replace(stages=[stage]), records, name, lacked))
+    return max(filter(None, found), key=lambda one: one.gained, default=None)
 
 
 def _of_element(

@@ -20,11 +20,12 @@ Harmonics of an input that lie above half the rate fold back. Those of a jump fa
 a kink as 1 / f^2: the whole rate leaves a third and a ninth of the error of a third of it.
 """
 
+import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from riecjax.doubts.columns import Asked, Course, Doubt, Samples, folds_of
+from riecjax.doubts.columns import Asked, Doubt, Samples, folds_of
 from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import FINEST, Finding, in_percent, joined
@@ -38,7 +39,7 @@ RESTS = 0.1
 the time: of a steady one it is a half or more."""
 
 
-def _third(samples: Samples, shape: Callable[[Samples], Samples]) -> Samples:
+def _third(shape: Callable[[Samples], Samples], samples: Samples, *_: Samples) -> Samples:
     """A signal's part by which samples of a third of the rate differ."""
     return 2 * samples * shape(2 * np.pi / 3 * np.arange(samples.size))
 
@@ -50,31 +51,24 @@ def _is_of_pulses(name: str, records: Sequence[Record]) -> bool:
     return all(np.median(np.abs(one)) < RESTS * np.sqrt(np.mean(one**2)) for one in away)
 
 
-PARTS: dict[str, Course] = {
-    "cosine": lambda samples, *_: _third(samples, np.cos),
-    "sine": lambda samples, *_: _third(samples, np.sin),
-}
-
-
 def between_samples(model: Model, records: Sequence[Record], estimate: Estimate) -> list[Finding]:
     """`sampled_input`, where the course of inputs between samples may move parameters (not under
     jit)."""
     asked, moved = Asked.of(model, estimate), dict[str, float]()
     known = {t.signal for e in model.equations for t in e.terms if not t.parameters}
     doubts = [
-        Doubt(f"{part} of {name}", "sampling", (name,), course)
+        Doubt(f"{part.__name__} of {name}", "sampling", (name,), functools.partial(_third, part))
         for name in sorted(name for name in known if name and _is_of_pulses(name, records))
-        for part, course in PARTS.items()
+        for part in (np.cos, np.sin)
     ]
     if not doubts:
         return []
     folds = folds_of(asked, records, doubts, "")
-    there = {*folds.parameters}
     base = [name for name in folds.parameters if name not in {doubt.name for doubt in doubts}]
     total, at = folds.motion.sum(0), folds.columns(base)
     signals = []
     for doubt, quadrature in zip(doubts[::2], doubts[1::2]):
-        if doubt.name not in there:
+        if doubt.name not in folds.parameters:
             continue
         both = folds.columns([doubt.name, quadrature.name])
         # Of each fold by itself: pulses lie otherwise in threes of samples, and alike in one.
