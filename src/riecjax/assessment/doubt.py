@@ -20,7 +20,7 @@ with it look wrong as well.
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,8 +32,6 @@ from riecjax.leaves import size_of
 from riecjax.records.recording import Recording
 from riecjax.validation.tests import BUILT_IN, Test
 
-if TYPE_CHECKING:
-    from riecjax.validation.residuals import EquationResidual
 LEVEL = 0.98
 """Level of the interval that a doubt starts from: one relies on it, so it is to hold more often."""
 TRUSTED = 0.1
@@ -64,10 +62,10 @@ class Evidence:
     estimate: Estimate
     tests: tuple[Test, ...] = ()
     failures: Sequence[Finding] = ()
-    tried: "Mapping[tuple[str, ...], Step] | None" = None
-    followed: "Sequence[Step]" = ()
+    tried: Mapping[tuple[str, ...], Step] | None = None
+    followed: Sequence[Step] = ()
 
-    def tried_step(self, step: "Step") -> "Step | None":
+    def tried_step(self, step: Step) -> Step | None:
         """A step as it was tried; `None` of one that does not help."""
         return step if not step.options or self.tried is None else self.tried.get(step.options)
 
@@ -91,12 +89,6 @@ class Evidence:
         refinement = self.test("refinement")
         refined = None if refinement is None else refinement.answer
         return self.estimate if refined is None else refined
-
-    @property
-    def equation_residuals(self) -> "Sequence[EquationResidual]":
-        """What each equation leaves, where that can be tested."""
-        residuals = self.test("residual_tests")
-        return () if residuals is None else residuals.equations
 
     def findings(self) -> list[Finding]:
         """What a user should know, each thing once."""

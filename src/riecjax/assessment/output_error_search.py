@@ -175,10 +175,11 @@ def _objective(problem: Problem, estimate: Estimate, horizon: float | None) -> O
     records = problem.records
     parametric = as_parametric_system(problem.model, records[0])
     system = parametric.build(estimate.table.values_of(estimate.values, 0))
-    channels, levels = _channels(system, records), {}
-    for name in channels or ():
-        least = LEAST_NOISE * deviation(records, name)
-        levels[name] = max(noise_levels(records, (name,))[0], least)
+    channels = _channels(system, records)
+    levels = {
+        name: max(noise_levels(records, (name,))[0], LEAST_NOISE * deviation(records, name))
+        for name in channels or ()
+    }
     # What each channel is weighed by, in its unit, where something tells it.
     sigma: Any = levels if levels and all(level > 0 for level in levels.values()) else None
     return OutputError(shooting, channels=channels, sigma=sigma)

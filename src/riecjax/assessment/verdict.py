@@ -124,14 +124,9 @@ def verdict(evidence: Evidence) -> Verdict:
     grouped, judged = causes(evidence, by_name), {}
     for name, doubt in by_name.items():
         level, reason = _judged(name, doubt, grouped, widened.get(name, ""))
+        unit = evidence.answer.table[name].unit
         judged[name] = ParameterVerdict(
-            name=name,
-            value=doubt.value,
-            unit=evidence.answer.table[name].unit,
-            level=level,
-            reason=reason,
-            doubt=doubt.ends,
-            share=doubt.share,
+            name, doubt.value, unit, level, reason, doubt.ends, doubt.share
         )
     return Verdict(_sentence(judged), judged, grouped, evidence.followed)
 
@@ -142,8 +137,7 @@ def _judged(name: str, doubt: Doubt, grouped: Sequence[Cause], widened: str) -> 
     **Arguments:** `widened`: what makes its interval wide beside chance, if something does.
     """
     about = [f for c in grouped for f in c.findings if name in (f.parameters or (name,))]
-    known = widened
-    named = doubt.named
+    known, named = widened, doubt.named
     # What is demanded and can be put right makes scatter as well.
     if named is not None and (
         doubt.wrong > doubt.scatter or (named.remedy and not named.about.assumed)

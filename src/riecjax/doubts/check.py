@@ -91,9 +91,9 @@ def raise_if_not_carried(evidence: "Iterable[Evidence]", excitations: Iterable[E
     refused = {one.stage_name for one in excitations if refusal_by(one.findings())}
     for one in evidence:
         if one.stage in refused and not one.carried:
-            first, *more = one.findings()
-            message = " ".join(finding.message for finding in (first, *more))
-            raise IdentifiabilityError(message, first.code)
+            findings = one.findings()
+            message = " ".join(finding.message for finding in findings)
+            raise IdentifiabilityError(message, findings[0].code)
 
 
 @contextlib.contextmanager
@@ -224,13 +224,9 @@ def of_sensors(model: Model, recording: Recording, read: Collection[str]) -> lis
     held = {n for f in of_signals if f.about.holds for n in f.signals}
     # What holds was seen when it was read.
     compared = compared_relations(model, record, read)
-    of_pairs = [
-        finding
-        for finding in check_kinematics(
-            record, [one for one in compared if one not in recording.kinematics]
-        )
-        if not (finding.about.feigned and held & {*finding.signals})
-    ]
+    compared = [one for one in compared if one not in recording.kinematics]
+    of_pairs = check_kinematics(record, compared)
+    of_pairs = [f for f in of_pairs if not (f.about.feigned and held & {*f.signals})]
     return [*of_signals, *of_pairs]
 
 
@@ -246,14 +242,11 @@ def recording_findings(
     """
     read, record = read_of(model, recording, criterion, summed=True), recording.record
     findings = [*recording.concerning(read).findings, *of_sensors(model, recording, read)]
-    return [
-        finding
-        if finding.parameters
-        else finding._replace(
-            parameters=parameters_reading(model, record, criterion, finding.signals)
-        )
+    concerned = [
+        finding.parameters or parameters_reading(model, record, criterion, finding.signals)
         for finding in findings
     ]
+    return [f._replace(parameters=names) for f, names in zip(findings, concerned)]
 
 
 def parameters_reading(

@@ -136,13 +136,11 @@ def low_pass_of(asked: Asked, records: Sequence[Record], delay: Doubt, size: flo
     undone = _undone(records, delay, size, False)
     if undone is None:
         return None
-    bend = Doubt("bend", "gain", delay.signals, lambda samples, rate, time: _slope(rate, time))
+    bend = Doubt(
+        "bend", "gain", delay.signals, lambda _, rate, time: np.gradient(rate, time[1] - time[0])
+    )
     folds = folds_of(asked, undone, [delay, bend])
     return folds.told(folds.parameters, bend.name).times(2 / size**2)
-
-
-def _slope(values: np.ndarray, time: np.ndarray) -> np.ndarray:
-    return np.gradient(values, time[1] - time[0])
 
 
 def _undone(
@@ -159,14 +157,11 @@ def _undone(
             return [(unfilter if lagged else shift)(one, by) for one in records]
         except DataError:
             return None
-    found = []
-    for record in records:
-        signals = {name: record.signal(name) for name in doubt.signals}
-        if doubt.kind == "gain":
-            found.append(record.with_signals({n: s * (1 / (1 + size)) for n, s in signals.items()}))
-        else:
-            found.append(record.with_signals({n: s - size for n, s in signals.items()}))
-    return found
+    by, less = (1 / (1 + size), 0.0) if doubt.kind == "gain" else (1.0, size)
+    return [
+        one.with_signals({name: one.signal(name) * by - less for name in doubt.signals})
+        for one in records
+    ]
 
 
 def _reach(records: Sequence[Record], doubt: Doubt) -> float:
@@ -180,13 +175,12 @@ def _reach(records: Sequence[Record], doubt: Doubt) -> float:
 
 def _rate(records: Sequence[Record], signals: Sequence[str]) -> float:
     """The usual angular frequency of the fastest of some signals, in radians per second."""
-    rates = []
-    for record in records:
-        for name in signals:
-            samples = np.asarray(record.arrays[name], float)
-            spread = float(np.std(samples)) or 1.0
-            rates.append(float(np.std(np.diff(samples))) / spread / float(record.time_step))
-    return max(max(rates), 1e-12)
+    every = [(one, np.asarray(one.arrays[name], float)) for one in records for name in signals]
+    rates = (
+        float(np.std(np.diff(samples))) / (float(np.std(samples)) or 1.0) / float(one.time_step)
+        for one, samples in every
+    )
+    return max(*rates, 1e-12)
 
 
 FEWEST_PARTS = 8
@@ -354,15 +348,9 @@ class Shifts:
         v = row(weights)
         left = float(np.einsum("kf,i,kfij,j->", weights, v, motion, v))
         energy = float(np.sum(weights * samples[:, :, 0, 0]))
-        return Settled(
-            0.0,
-            np.nan,
-            np.nan,
-            left / energy,
-            dict(zip(names, (-v[1:]).tolist())),
-            float(self.records[0].time_step),
-            course=course._replace(statistic=statistic),
-        )
+        values, step = dict(zip(names, (-v[1:]).tolist())), float(self.records[0].time_step)
+        course = course._replace(statistic=statistic)
+        return Settled(0.0, np.nan, np.nan, left / energy, values, step, course=course)
 
 
 def advanced(record: Record, signals: Sequence[str], count: int, reach: int) -> Record:

@@ -536,25 +536,24 @@ def _of_course(signals: Sequence[str], course: Course, record: Record) -> Told:
     )
 
 
+def _amount(size: float, unit: str = "", *_: str) -> str:
+    return f"{size:.3g} {unit}".rstrip()
+
+
 def _of_zero(cause: Cause, model: Model, record: Record, says: str) -> Told:
     """The zero of a sensor, and the constant that it may be as well."""
     doubt, size = cause.doubt, cause.size
     zeros = [one.signals[0] for one in (doubt, *cause.same) if one.kind == "zero"]
     if doubt.term is not None:
-        unit = next(iter(doubt.term.units.values()), "")
-        amount = f"{size:.3g} {unit}".rstrip()
+        amount = _amount(size, *doubt.term.units.values())
         what = (
             f"a constant is missing ({amount}), of a sensor's zero or of a force that is left out"
         )
     else:
-        amount = f"{size:.3g} {record.signal(zeros[0]).unit}".rstrip()
-        what = f"{zeros[0]} reads {amount} more than {says}"
+        what = f"{zeros[0]} reads {_amount(size, record.signal(zeros[0]).unit)} more than {says}"
     known = [t for e in model.equations for t in e.terms if t.signal and not t.parameters]
-    inputs = [
-        str(t.signal)
-        for t in known
-        if not t.derivative and (t.signal in zeros or doubt.term is not None)
-    ]
+    inputs = [str(t.signal) for t in known if not t.derivative]
+    inputs = [name for name in inputs if name in zeros or doubt.term is not None]
     if inputs:
         remedy = ("--unknown-offset", inputs[0])
         then = f"Estimate it (on the command line: {shlex.join(remedy)}; "
@@ -580,27 +579,19 @@ def _of_size(cause: Cause, model: Model, record: Record, says: str) -> Told:
         unit = per(record.signal(element.place).unit, "1/s")
         return element.as_cause(doubt.equation, (), size, unit)
     if doubt.term is not None:
-        unit = next(iter(doubt.term.units.values()), "")
-        value = f"{doubt.name} = {size:.3g} {unit}".rstrip()
+        amount = _amount(size, *doubt.term.units.values())
         return Told(
             "missing_term",
-            f"{doubt.equation}: the model lacks a term, {doubt.meaning} ({value})",
+            f"{doubt.equation}: the model lacks a term, {doubt.meaning} ({doubt.name} = {amount})",
             "Add it (riecjax discover writes the model).",
             step=f"Add the term that is missing, {doubt.meaning}: riecjax discover",
         )
     (name,) = doubt.signals
-    unit = record.signal(name).unit
-    amount = f"{size:.3g} {unit}".rstrip()
+    amount = _amount(size, record.signal(name).unit)
     if doubt.kind == "gain":
-        remedy = ("--scale", f"{name}={1 / (1 + size):.5g}")
-        step = f"Scale {name}"
-        return Told(
-            "wrong_gain",
-            f"{name} is {1 + size:.4g} times what {says}",
-            f"{step} ({shlex.join(remedy)}).",
-            remedy,
-            step,
-        )
+        remedy, step = ("--scale", f"{name}={1 / (1 + size):.5g}"), f"Scale {name}"
+        what = f"{name} is {1 + size:.4g} times what {says}"
+        return Told("wrong_gain", what, f"{step} ({shlex.join(remedy)}).", remedy, step)
     start, *_, end = np.asarray(record.elapsed)
     slope = size / (end - start)
     zero = cause.offset - slope * 0.5 * (start + end)

@@ -39,7 +39,7 @@ from riecjax.doubts.columns import (
 from riecjax.doubts.delays import SMALLEST, Settled, settled_at
 from riecjax.doubts.equation_faults import Cause, Equated, Weighing, finding_of
 from riecjax.equations.equation import Equation
-from riecjax.equations.model import Model, as_model
+from riecjax.equations.model import as_model
 from riecjax.equations.term import Term
 from riecjax.errors import DataError
 from riecjax.findings import SMOOTH, Finding, in_percent
@@ -119,8 +119,7 @@ def compare(record: Record, relation: Relation) -> Compared | None:
     prepared = _prepared(record, relation)
     if prepared is None:
         return None
-    found: dict[tuple[str, tuple[str, ...]], Finding] = {}
-    late = dict[str, Settled]()
+    found, late = dict[tuple[str, tuple[str, ...]], Finding](), dict[str, Settled]()
     weighing = _weighed(relation, prepared)
     first, folds = weighing.causes, weighing.causes.folds
     if not folds.motion[:, 0, 0].sum() > MOST_NOISE * folds.energy:
@@ -164,11 +163,8 @@ def compare(record: Record, relation: Relation) -> Compared | None:
     if off:
         # Of what is as fast as samples the size depends on its course between them.
         others = _sizes(_by_trapezoids(weighing.asked, weighing.records[0]), relation)
-        sizes = (
-            sizes
-            if others and all((others[n].value - 1) * by > 0 for n, by in off.items())
-            else None
-        )
+        if not others or any(not (others[n].value - 1) * by > 0 for n, by in off.items()):
+            sizes = None
     return Compared(relation, tuple(found.values()), late, sizes, explained)
 
 
@@ -213,8 +209,10 @@ def _weighed(relation: Relation, record: Record, by: Sequence[str] = ()) -> Weig
     # Of a sum it is moot whose zero is off.
     for name in reversed(terms if not by else ()):
         doubts += [zero_of(name), drift_of(name)]
-    values = dict(relation.of)
-    asked = Asked(_model(relation), RIEC(windows, Hat(6)), values, {}, [f"0.{n}" for n in values])
+    values, every = dict(relation.of), [Term(name, name) for name in terms]
+    # A parameter for the size of each term.
+    model = as_model(Equation(*every, -Term(1.0, relation.signal, derivative=1)))
+    asked = Asked(model, RIEC(windows, Hat(6)), values, {}, [f"0.{name}" for name in terms])
 
     def is_moot(rough: Causes) -> bool:
         other = _by_trapezoids(asked, record)
@@ -222,12 +220,6 @@ def _weighed(relation: Relation, record: Record, by: Sequence[str] = ()) -> Weig
         return rough.before < CLEARER * abs(rough.before - left)
 
     return Weighing.of(asked, [record], doubts, is_exact=True, is_moot=is_moot)
-
-
-def _model(relation: Relation) -> Model:
-    """The equation that a relation is, a parameter for the size of each term."""
-    terms = [Term(name, name) for name in relation.terms]
-    return as_model(Equation(*terms, -Term(1.0, relation.signal, derivative=1)))
 
 
 def _longest(record: Record, signal: str) -> int:
@@ -458,13 +450,8 @@ def _not_its_derivative(record: Record, relation: Relation, size: float) -> Find
 def is_derivative(record: Record, signal: str, others: Sequence[str]) -> bool:
     """Whether one of the other signals is the recorded derivative of this one."""
     every = (compare(record, Relation(signal, ((other, 1.0),))) for other in others)
-    return any(
-        one is not None
-        and one.explained > ALIKE
-        and one.sizes is not None
-        and all(abs(size.value - 1) < GROSS for size in one.sizes.values())
-        for one in every
-    )
+    fitting = (one.sizes for one in every if one and one.explained > ALIKE and one.sizes)
+    return any(all(abs(one.value - 1) < GROSS for one in sizes.values()) for sizes in fitting)
 
 
 def implied(record: Record, names: Sequence[str], known: Collection[Relation]) -> list[Relation]:
