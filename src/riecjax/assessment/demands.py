@@ -113,16 +113,12 @@ def silent_inputs(
                 values = record.signal(name).with_nan
                 known = values[~np.isnan(values)]
                 spread = float(np.std(known))
-                said = ""
-                if not spread > 1e-12 * float(np.max(np.abs(known))):
-                    said = "never varies"
-                elif float(noise_level(values)) > NOISE_ALONE * spread:
-                    said = "is noise alone"
-            if not said:
-                continue
-            over_windows = None if windows is None else window_errors([error], windows)
-            left = error.relative_rms if over_windows is None else over_windows.relative_rms
-            if not float(left) > NOTHING_EXPLAINED:
+                varies = spread > 1e-12 * float(np.max(np.abs(known)))
+                if varies and not float(noise_level(values)) > NOISE_ALONE * spread:
+                    continue
+            said = "is noise alone" if varies else "never varies"
+            left = (windows and window_errors([error], windows)) or error
+            if not float(left.relative_rms) > NOTHING_EXPLAINED:
                 continue
             where = f" in recording {number}" if len(records) > 1 else ""
             yield Finding(

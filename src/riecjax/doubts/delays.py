@@ -127,15 +127,14 @@ def settled_at(
     return Settled(size, told.error, reach, left / folds.energy, values, step)
 
 
-def low_pass_of(asked: Asked, records: Sequence[Record], delay: Doubt, size: float) -> Told | None:
-    """How much of a low-pass there is in a delay of this size: 1 is all, 0 none.
+def low_pass_of(asked: Asked, records: Sequence[Record], delay: Doubt, size: float) -> Told:
+    """How much of a low-pass there is in a delay that settled at this size: 1 is all, 0 none.
 
     Behind a low-pass of time constant tau a sensor shows s - tau s' + tau^2 s'' - ..., and tau late
     s - tau s' + tau^2 / 2 s'' - .... So once the delay is undone, half of tau^2 s'' is left.
     """
     undone = _undone(records, delay, size, False)
-    if undone is None:
-        return None
+    assert undone is not None
     bend = Doubt(
         "bend", "gain", delay.signals, lambda _, rate, time: np.gradient(rate, time[1] - time[0])
     )
@@ -149,8 +148,6 @@ def _undone(
     """The records without so much of a doubt; `None` where nothing is left of them."""
     if not size:
         return [*records]
-    if doubt.kind == "gain" and not size > -1:
-        return None
     if doubt.kind == "delay":
         by = dict.fromkeys(doubt.signals, size)
         try:

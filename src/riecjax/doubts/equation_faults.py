@@ -208,10 +208,6 @@ class Weighing:
             return []
         return [self._cause(best, [best], known[best])._replace(is_part=True)]
 
-    def _settled(self, doubt: Doubt, start: float = 0.0, lagged: bool = False) -> Settled | None:
-        most = self.causes.plausible[doubt.name]
-        return settled(self.asked, self.records, doubt, most, start, lagged)
-
     def _undone(self, doubt: Doubt, large: bool) -> Settled | None:
         """A delay, zero or gain once it is undone, since its column is right to first order alone,
         if it is no chance; of a delay the low-pass that leaves less. One that may be too `large`
@@ -222,10 +218,12 @@ class Weighing:
         is_straight = doubt.kind != "delay" and causes.same_as(doubt, causes.of("zero", "term"))
         if is_straight or not (large or near):
             return None
-        found = self._settled(doubt)
+        most = causes.plausible[doubt.name]
+        found = settled(self.asked, self.records, doubt, most)
         if large and (found is None or not causes.is_little(found.left * energy)):
-            start = Shifts(self.asked, self.records, doubt.signals).start()
-            found = self._settled(doubt, start * float(self.records[0].time_step))
+            shift = Shifts(self.asked, self.records, doubt.signals).start()
+            start = shift * float(self.records[0].time_step)
+            found = settled(self.asked, self.records, doubt, most, start)
         if found is None or not abs(found.size) > found.reach:
             return None
         if doubt.kind == "delay" and not abs(found.samples) > SMALLEST:
@@ -233,13 +231,9 @@ class Weighing:
         if doubt.kind != "delay" or found.size < 0:
             return found
         share = low_pass_of(self.asked, self.records, doubt, found.size)
-        if share is not None:
-            of_delay = share._replace(value=share.value - 1)
-            is_bent, is_late = share.chance < LEVEL, of_delay.chance < LEVEL
-            if is_bent and share.value > HALF:
-                return self._settled(doubt, found.size, lagged=True) or found
-            found = found._replace(certain=is_late)
-        return found
+        if share.chance < LEVEL and share.value > HALF:
+            return settled(self.asked, self.records, doubt, most, found.size, True) or found
+        return found._replace(certain=share._replace(value=share.value - 1).chance < LEVEL)
 
     def _cause(
         self,
