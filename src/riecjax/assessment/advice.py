@@ -137,10 +137,8 @@ def _spoils(was: Doubt, now: Doubt) -> bool:
 
 
 def tried(evidence: Evidence, again: Callable[[Sequence[str]], Evidence]) -> Iterator[Step]:
-    """Steps that are proposed and help, of each kind of cause the first.
-
-    **Arguments:** `again` assesses with further options.
-    """
+    """Steps that are proposed and help, of each kind of cause the first; `again` assesses with
+    further options."""
     seen, mended = set[tuple[str, ...]](), set[str]()
     for finding, step in proposals(evidence):
         if step.options in seen or finding.about.kind in mended:

@@ -132,8 +132,6 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
     - `progress`: called with the sum of squares after each step of a refinement that was asked for.
     - `follow`: steps of advice to carry out, one after the other, as long as one helps.
 
-    **Returns:** an [`Assessment`][].
-
     **Raises:** as [`identify`][], [`refine`][] and [`split`][riecjax.split], and
     `IdentifiabilityError` for what [`Check.answerable`][] denies. What cannot be tested or
     simulated raises nothing: it is a finding.
@@ -158,10 +156,9 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
 
 def _trial(asked: Asked, options: Sequence[str]) -> Assessment:
     """An assessment with further options, without what is slow and what tells of no parameter."""
-    quiet: dict[str, Any] = {"tests": (), "on_estimate": None}
     asked = asked.with_options(options)
     refine = asked.settings.refine if "--refine" in options else "none"
-    settings = replace(asked.settings, refine=refine, **quiet)
+    settings = replace(asked.settings, refine=refine, tests=(), on_estimate=None)
     return _assessed(asked._replace(further=[], settings=settings))
 
 

@@ -100,10 +100,8 @@ def silent_inputs(
     errors: Sequence[Sequence[EquationError]],
     windows: AbstractWindows | None,
 ) -> Iterator[Finding]:
-    """`silent_input` of recorded inputs that are constant or only noise, and that explain nothing.
-
-    **Arguments:** `errors` of each equation on each record.
-    """
+    """`silent_input` of recorded inputs that are constant or only noise, and that explain nothing
+    by the `errors` of each equation on each record."""
     for equation, of_records in zip(equations, errors, strict=True):
         if (name := _only_input(equation)) is None:
             continue

@@ -53,11 +53,8 @@ def causes(evidence: Evidence, by_name: Mapping[str, Doubt]) -> list[Cause]:
         if not findings:
             continue
         concerned = {name for f in findings for name in evidence.parameters_of(f)} & {*by_name}
-        if kind == "data":
-            sizes = [by_name[name].scatter_share for name in concerned]
-        else:
-            sizes = [_largest(finding) for finding in findings]
-        share = max(sizes, default=0.0)
+        scatters = (by_name[name].scatter_share for name in concerned)
+        share = max(scatters if kind == "data" else map(_largest, findings), default=0.0)
         told = max(findings, key=_largest)
         phrase = told.about.said(told.signals, told.parameters)
         steps = [evidence.tried_step(step) for f in findings for step in steps_of(f, findings)]
@@ -132,10 +129,8 @@ def verdict(evidence: Evidence) -> Verdict:
 
 
 def _judged(name: str, doubt: Doubt, grouped: Sequence[Cause], widened: str) -> tuple[Level, str]:
-    """Level and reason: what rules it out, or else the largest part of its doubt.
-
-    **Arguments:** `widened`: what makes its interval wide beside chance, if something does.
-    """
+    """Level and reason: what rules it out, or what `widened` its interval beside chance, or else
+    the largest part of its doubt."""
     about = [f for c in grouped for f in c.findings if name in (f.parameters or (name,))]
     known, named = widened, doubt.named
     # What is demanded and can be put right makes scatter as well.

@@ -154,12 +154,9 @@ class Causes:
         return [doubt for doubt in self.every if doubt in near]
 
     def demanded(self, among: Sequence[Doubt], sure: Container[Doubt] = ()) -> list[Doubt]:
-        """Of some doubts those that are the cause of what is left, none where nothing explains it.
-
-        **Arguments:** `sure`, doubts of which that is known.
-        """
-        chosen: list[Doubt] = []
-        among = list(among)
+        """Of some doubts those that are the cause of what is left, none where nothing explains it;
+        that some are no chance is known, of those that are `sure`."""
+        chosen, among = list[Doubt](), [*among]
         while self.folds.number >= FEWEST and len(chosen) < MOST:
             others = [doubt for doubt in among if doubt.kind != STATES or not _states(chosen)]
             best = self._best(others, chosen, sure)

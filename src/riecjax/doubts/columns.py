@@ -492,16 +492,13 @@ def _share(time: Samples) -> Samples:
 
 def sensors(model: Model, records: Sequence[Record], read: set[str]) -> list[Doubt]:
     """What may be amiss with the sensors of the signals that are read, inputs first."""
-    found = []
+    found, is_single = list[Doubt](), len(records) == 1
     for signals in clocks_of(model, read):
-        found.append(delay_of(signals))
-        found += courses_of(signals) if len(records) == 1 else []
+        found += [delay_of(signals), *(courses_of(signals) if is_single else ())]
     known = {t.signal for e in model.equations for t in e.terms if not t.parameters}
     for name in sorted(read, key=lambda name: (name not in known, name)):
-        found.append(zero_of(name))
-        found.append(Doubt(f"gain of {name}", "gain", (name,), lambda samples, *_: samples))
-        if len(records) == 1:
-            found.append(drift_of(name))
+        gain = Doubt(f"gain of {name}", "gain", (name,), lambda samples, *_: samples)
+        found += [zero_of(name), gain, *([drift_of(name)] if is_single else ())]
     return found
 
 

@@ -260,10 +260,8 @@ class Shifts:
         return min(self.every, key=left)
 
     def course(self, middle: int, large: bool) -> Settled | None:
-        """The course of a delay about this one, if it is none that stays.
-
-        **Arguments:** `large`, whether it may be of any size.
-        """
+        """The course of a delay about this one, of any size if it may be `large`, if it is none
+        that stays."""
         first, last = max(middle - 1, -self.reach), min(middle + 1, self.reach)
         near = self._among(range(first, last + 1))
         if near is None or not self._changes(near, SLIGHT):

@@ -109,10 +109,8 @@ class Weighing:
         is_moot: Callable[[Causes], bool] = lambda rough: False,
     ) -> "Weighing":
         """Noise is taken off those doubts alone that may be a cause, and states of hysteresis,
-        whose shapes are rough, are tried where much is left.
-
-        **Arguments:** `is_moot` says of a first weighing whether there is nothing to explain.
-        """
+        whose shapes are rough, are tried where much is left; a first weighing of which `is_moot` is
+        true has nothing to explain."""
         sizes = plausible(doubts, records)
         plain = [doubt for doubt in doubts if doubt.kind != STATES]
         rough = Causes(folds_of(asked, records, plain, "plain"), plain, sizes)
@@ -168,18 +166,13 @@ class Weighing:
             # What drifts has a zero as well.
             is_zero = self.rough.is_zero_of
             zeros = [d for d in causes.every if d.kind == "zero" and is_zero(d, drifting)]
-            beyond = self._part(None, [*chosen, *zeros])
-            return told if beyond is None else [*told, beyond]
+            return [*told, *self._part(None, [*chosen, *zeros])]
         mode = self._mode() if is_notable else None
-        explains = mode is not None and causes.is_little(mode.left**2 * causes.folds.energy)
-        rough = mode if explains else None
-        # A rough shape is no cause where a delay explains more.
-        best = min(delays, key=lambda delay: causes.left([delay]), default=None)
-        if rough and best and causes.rms(causes.left([best])) < rough.left:
-            rough = self._cause(best, [best], known[best])
-        return [each for each in (rough or self._part(mode),) if each is not None]
+        if mode is not None and causes.is_little(mode.left**2 * causes.folds.energy):
+            return [mode]
+        return self._part(mode)
 
-    def _part(self, mode: Cause | None, beside: Sequence[Doubt] = ()) -> Cause | None:
+    def _part(self, mode: Cause | None, beside: Sequence[Doubt] = ()) -> list[Cause]:
         """Doubts that explain a part of what is left beside some, let in one after the other, with
         the farthest that any of them, or a mode, moves each parameter."""
         fair, every = self.causes, [*beside]
@@ -195,8 +188,8 @@ class Weighing:
         before, left = (fair.rms(fair.left(some)) for some in (beside, every))
         if chosen and (mode is None or left < mode.left):
             size = fits[-1][chosen[0].name]
-            return Cause(chosen[0], size, before, left, moved, admitted=tuple(chosen))
-        return mode and mode._replace(moved=moved, admitted=(mode.doubt,))
+            return [Cause(chosen[0], size, before, left, moved, admitted=tuple(chosen))]
+        return [] if mode is None else [mode._replace(moved=moved, admitted=(mode.doubt,))]
 
     def _part_of(self, known: Mapping[Doubt, Settled]) -> list[Cause]:
         """The delay that explains most of what is left, where others are beside it: columns of what

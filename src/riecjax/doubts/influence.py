@@ -10,7 +10,6 @@ least of all equations, as shares of their targets, is the answer to trust.
 
 import contextlib
 import dataclasses
-import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -57,8 +56,7 @@ def with_doubts(
             effect = f" Without it {name} changes by {in_percent(share)}."
             finding = finding._replace(message=finding.message + effect, doubts=moved)
         findings.append(finding)
-    together = functools.partial(again, [*records], model.solved_together())
-    findings += refuted(model, records, estimate, together)
+    findings += refuted(model, records, estimate, again)
     return dataclasses.replace(checked, findings=findings)
 
 
@@ -73,15 +71,9 @@ def _remedies(checked: Check, code: str, model: Model, record: Record) -> list[t
 
 
 def refuted(
-    model: Model,
-    records: Sequence[Record],
-    estimate: Estimate,
-    together: Callable[[], Estimate],
+    model: Model, records: Sequence[Record], estimate: Estimate, again: Callable[..., Estimate]
 ) -> list[Finding]:
-    """`stages_disagree`, of stages that refute shared parameters (not under jit).
-
-    **Arguments:** `together` estimates with all equations in one stage.
-    """
+    """`stages_disagree`, of stages that refute shared parameters; arguments as of `with_doubts`."""
     if len(model.stages) < 2 or why_not_weighed(model, records, estimate):
         return []
     asked, earlier = Asked.of(model, estimate), set[str]()
@@ -96,7 +88,7 @@ def refuted(
     shared = sorted(set().union(*against.values()))
     says = "; ".join(f"{name} refutes {joined(sorted(names))}" for name, names in against.items())
     try:
-        other = together()
+        other = again([*records], model.solved_together())
     except (DataError, IdentifiabilityError) as error:
         message = f"{says} as earlier equations found them, and together they find none: {error}"
         return [Finding("stages_disagree", message, parameters=tuple(shared), doubt=1.0)]
