@@ -40,11 +40,11 @@ def weight_equation():
 class SameWindows(rx.RandomWindows):
     """Windows drawn by NumPy: one JAX key draws others in 32-bit than in 64-bit."""
 
-    def draw(self, key, sample_count, time_step, multiple=1):
+    def draw(self, key, record, multiple=1):
         rng = np.random.default_rng(0)
         lag = rng.integers(round(0.05 / STEP), round(0.5 / STEP) + 1, self.count)
         share = rng.integers(0, 2**20, self.count)
-        start = (jnp.asarray(share, jnp.int32) % (sample_count - lag)).astype(jnp.int32)
+        start = (jnp.asarray(share, jnp.int32) % (record.sample_count - lag)).astype(jnp.int32)
         return WindowSet(jnp.asarray(start, jnp.int32), jnp.asarray(start + lag, jnp.int32))
 
 
