@@ -149,3 +149,25 @@ def test_the_command_line_shows_it(loose, tmp_path, capsys):
 def test_what_cannot_be_asked(make, words):
     with pytest.raises(rx.ModelError, match=words):
         make()
+
+
+def test_a_known_spring_leaves_the_width_as_it_is(loose):
+    record = as_record(loose)
+    found = rx.identify(LOOSE, record, known={"k": TRUTH["k"]})
+    assert float(found["play"]) == pytest.approx(0.08, rel=0.02)
+    assert float(found["J_m"]) == pytest.approx(TRUTH["J_m"], rel=0.05)
+
+
+def test_a_width_that_is_searched_elsewhere_is_said(loose):
+    record = as_record(loose)
+    model = DRIVE.with_elements(rx.Backlash("k", near=0.01))
+    (evidence,) = rx.estimation.element_evidence(model, rx.identify(model, record))
+    (finding,) = evidence.findings()
+    assert "ended at the end of the widths that were searched" in finding.message
+    assert "J_m" in finding.parameters
+    for width in (5.0, -0.01):
+        with pytest.raises(rx.ModelError, match="play is held at"):
+            rx.identify(LOOSE, record, known={"play": width})
+    with pytest.raises(rx.DataError, match="record"):
+        LOOSE.for_records([])
+    assert LOOSE.for_records(record).elements[0].ends is not None

@@ -141,3 +141,56 @@ def test_a_class_that_is_no_element_is_refused(model, tmp_path):
     asked = rx.settings.Elements(added=[(f"{tmp_path}/other.py:Inerter", "v1-v2", None)])
     with pytest.raises(rx.ModelError, match="is no class derived from"):
         with_asked(model, asked)
+
+
+class HalfDone(Inerter):
+    """Searched, and silent about its search."""
+
+    coordinates = 1
+
+
+class Breaking(Inerter):
+    """Fails in the middle of its own code."""
+
+    def in_equation(self, equation, units):
+        raise KeyError("of mine")
+
+
+class Elsewhere(Inerter):
+    """Changes no equation."""
+
+    def in_equation(self, equation, units):
+        return equation
+
+
+@pytest.mark.parametrize(
+    ("element", "words"),
+    [
+        (HalfDone("v1-v2"), "HalfDone is searched, and has to say linear, hidden, shape, shape_at"),
+        (Breaking("v1-v2"), "the element Breaking failed at line"),
+        (Elsewhere("v1-v2"), "it changes none"),
+        (Inerter("v1"), "the element Inerter failed at line"),
+    ],
+)
+def test_what_an_element_leaves_open_is_said(model, element, words):
+    with pytest.raises(rx.ModelError, match=words):
+        model.with_elements(element)
+
+
+def test_a_job_finds_the_file_of_an_element(signals, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bodies.py").write_text(MODEL_FILE)
+    (tmp_path / "inerter.py").write_text((Path(__file__).parent / "inerter.py").read_text())
+    table = np.column_stack([np.arange(6000) * STEP, *signals.values()])
+    header = ",".join(["t", *signals])
+    np.savetxt(tmp_path / "drive.csv", table, delimiter=",", header=header, comments="")
+    first = ["identify", "drive.csv", "--model", "bodies.py:TWO_BODIES", "--refine", "none"]
+    assert run([*first, "--add", "inerter.py:Inerter:v1-v2", "--out", "out"]) == 0
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert run(["identify", "--job", "../out/results.json", "--out", "again"]) == 0
+    found = [
+        json.loads((tmp_path / place / "results.json").read_text())["parameters"]
+        for place in ("out", "elsewhere/again")
+    ]
+    assert found[0] == found[1]

@@ -94,7 +94,7 @@ def record():
         (lambda record: rx.discover(LAG_MODEL, record), "beside a model without hidden elements"),
         (
             lambda record: rx.refine(MODE_MODEL, record, MODE_TRUTH, rx.IntegralError()),
-            "states of their own",
+            "motions of their own",
         ),
         (lambda _: LAG_MODEL.with_elements(rx.SeriesSpring("c")), "has a spring in series already"),
         (

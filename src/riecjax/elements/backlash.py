@@ -109,6 +109,19 @@ class Backlash(Element):
         if any(other.linear == self.of for other in others if other.coordinates):
             raise ModelError(f"'{self.of}' has another element in series: leave one of both out.")
 
+    def require_known(self, given: Values) -> None:
+        """Raise `ModelError` for a width that the ladder does not hold."""
+        width = given.get(self.hidden[0])
+        if width is None or not xp.is_concrete(width):
+            return
+        low, high = self.reach
+        if not low <= width <= high:
+            raise ModelError(
+                f"{self.hidden[0]} is held at {float(width):g}, and the widths that these "
+                f"recordings tell of are {float(low):.4g} to {float(high):.4g}: leave the "
+                f"backlash out where there is none, or say near which width it is."
+            )
+
     @property
     def linear(self) -> str:
         """The spring."""
@@ -159,6 +172,12 @@ class Backlash(Element):
         step = (high / low) ** (1 / (WIDTHS - 3))
         return np.geomspace(low / step, high * step, WIDTHS)
 
+    @property
+    def reach(self) -> tuple[float, float]:
+        """The narrowest and the widest that have both neighbours."""
+        ladder = self.ladder
+        return float(ladder[1]), float(ladder[-2])
+
     def columns(self, term: AbstractTerm) -> tuple[AbstractTerm, ...]:
         """The spring without play, and behind each play of the ladder."""
         widths = np.array([0.0, *self.ladder])
@@ -196,12 +215,13 @@ class Backlash(Element):
 
     def is_possible(self, at: Float[Array, "1"]) -> Any:
         """Whether it lies on the ladder, where the convolution has both neighbours."""
-        low, high = np.log(self.ladder[1]), np.log(self.ladder[-2])
+        low, high = np.log(self.reach)
         return (at[0] >= low) & (at[0] <= high)
 
     def band(self, longest: Leaf, step: Leaf) -> Band:
         """Widths of the ladder that have both neighbours."""
-        return np.asarray(self.ladder[1]), np.asarray(self.ladder[-2])
+        low, high = self.reach
+        return np.asarray(low), np.asarray(high)
 
     def moved(self, equation: Equation, values: Values, following: Any) -> Equation:
         """The equation with its spring behind this play."""
@@ -228,6 +248,10 @@ class Backlash(Element):
         shapes = np.stack([*(np.full(logs.shape, x) for x in others), logs], axis=-1)
         name, (width,) = self.hidden[0], np.sqrt(np.diagonal(held.covariance))
         springs = [e.equation.units.get(self._column(0), "") for e in stage.equations]
+        low, high = self.reach
+        # From its end no smaller play is told from none; any other end is one of what was searched.
+        ended = held.values[name] >= high or (self.near is not None and held.values[name] <= low)
+        concerned = (n for e in stage.equations for n in e.all_parameters)
         return BacklashEvidence(
             *held.shared(),
             of=self.of,
@@ -235,6 +259,7 @@ class Backlash(Element):
             widths=np.exp(logs),
             left=np.asarray(stage.shares(shapes)[0]),
             unit=TWIST_UNITS.get(max(springs), ""),
+            beyond=tuple(dict.fromkeys(concerned)) if ended else (),
         )
 
 
@@ -290,7 +315,8 @@ class BacklashEvidence(Evidence):
     """What speaks for play in series with the spring `of`.
 
     **Further fields:** the `width` with its standard error; the `widths` of a map, and the share
-    `left` of the target by each, at the best stiffness; their `unit`.
+    `left` of the target by each, at the best stiffness; their `unit`;
+    parameters of the stage, where the search led `beyond` the widths.
     """
 
     of: str
@@ -298,14 +324,30 @@ class BacklashEvidence(Evidence):
     widths: Float[np.ndarray, " widths"]
     left: Float[np.ndarray, " widths"]
     unit: str = ""
+    beyond: tuple[str, ...] = ()
     test: ClassVar = "backlash"
     caption: ClassVar = (
         "The map of play: of each width that the play could have, the share of the target's energy "
         "that the equation then leaves, at the best stiffness."
     )
 
+    @property
+    def carried(self) -> bool:
+        """Whether the recordings carry the play, and of a width that was searched."""
+        return super().carried and not self.beyond
+
     def findings(self) -> list[Finding]:
         """That the recordings carry no play, where nothing speaks for it."""
+        if self.beyond:
+            return [
+                Finding(
+                    "element_not_carried",
+                    f"{self.stage}: the search for the play in series with {self.of} ended at the "
+                    f"end of the widths that were searched, {self.widths[0]:.3g} to "
+                    f"{self.widths[-1]:.3g}: say near which other width it is, or leave it out.",
+                    parameters=self.beyond,
+                )
+            ]
         if self.carried:
             return []
         return [

@@ -118,9 +118,10 @@ class Evidence(Drawn):
                 f"{in_percent(max(float(self.unexplained), 0.0))} with it, difference "
                 f"{100 * float(self.gain):.2g} +- {in_percent(self.gain_error)}"
             )
+        explained = in_percent(min(max(self.explained, 0.0), 1.0))
         return (
-            f"on time that it was not found from, {what} explains "
-            f"{in_percent(max(self.explained, 0.0))} of what is left without it ({shares})."
+            f"on time that it was not found from, {what} explains {explained} of what is left "
+            f"without it ({shares})."
         )
 
     def shares(self) -> dict[str, Any]:

@@ -43,6 +43,8 @@ from riecjax.errors import ModelError
 from riecjax.leaves import Leaf, PlainMethods, is_number
 from riecjax.records.record import Record
 
+SEARCHED = ("linear", "hidden", "shape", "shape_at", "values_at", "band", "moved", "attached")
+"""What a class has to say that is searched."""
 ROUGH = 14
 """Frequencies of a rough grid."""
 Values = Mapping[str, Array]
@@ -302,6 +304,22 @@ class Element(PlainMethods, eqx.Module):
         """The hidden parameters, with units by the equations' own."""
         return []
 
+    def require_whole(self) -> None:
+        """Raise `ModelError` where a class that is searched leaves one of `SEARCHED` open."""
+        kind = type(self)
+        if self.coordinates and (
+            lacking := [name for name in SEARCHED if getattr(kind, name) is getattr(Element, name)]
+        ):
+            raise ModelError(
+                f"{kind.__name__} is searched, and has to say {', '.join(lacking)}; see rx.Element."
+            )
+
+    @property
+    def is_of_equations(self) -> bool:
+        """Whether it has to be in some equation: it makes nothing of a record by itself."""
+        kind, alone = type(self), ("with_states", "trusted", "findings")
+        return all(getattr(kind, name) is getattr(Element, name) for name in alone)
+
     def require(self, equations: Sequence[Equation], others: "Sequence[Element]") -> None:
         """Raise `ModelError` where such equations cannot have it, beside these others."""
 
@@ -434,4 +452,4 @@ class Element(PlainMethods, eqx.Module):
 def require_near(what: str, near: Any, unit: str) -> None:
     """Raise `ModelError` unless this is `None` or a positive number."""
     if near is not None and not (is_number(near) and np.isfinite(near) and near > 0):
-        raise ModelError(f"{what} is a positive number{unit}; got {near}.")
+        raise ModelError(f"{what} is a positive number{unit}; got {near!r}.")

@@ -21,9 +21,9 @@ from riecjax.equations.expanded import Expanded
 from riecjax.equations.expressions import Expression, relation_of
 from riecjax.equations.quantity import BY_EQUATIONS, FrozenDict, Machine, Quantity
 from riecjax.equations.term import AbstractTerm
-from riecjax.errors import ModelError, refuse_unknown, require
+from riecjax.errors import ModelError, refuse_unknown, require, users_code
 from riecjax.leaves import Leaf, PlainMethods, is_number
-from riecjax.records.record import Record
+from riecjax.records.record import Record, Records, as_records
 from riecjax.shows import Shown
 
 if TYPE_CHECKING:
@@ -145,12 +145,18 @@ class Model(PlainMethods, Shown, eqx.Module):
         meanings: dict[str, str] = {}
         for element in elements:
             require("an element", element, Element, "rx.HiddenMode(on='x4')")
-            element.require(self.equations, self.elements)
+            element.require_whole()
+            with users_code(f"the element {type(element).__name__}"):
+                element.require(self.equations, self.elements)
             if element.number is None:
                 before = {name for equation in self.equations for name in equation.parameters}
-                self.stages = self.by_stage(partial(element.in_equation, units=units))
+                with users_code(f"the element {type(element).__name__}"):
+                    self.stages = self.by_stage(partial(element.in_equation, units=units))
                 names = [name for equation in self.equations for name in equation.parameters]
                 meanings |= {name: element.meaning for name in names if name not in before}
+                acts = any(element.term_in(equation) is not None for equation in self.equations)
+                if element.is_of_equations and {*names} == before and not acts:
+                    raise ModelError(f"no equation has {element.described}: it changes none.")
                 alike = [other for other in self.elements if type(other) is type(element)]
                 element = replace(element, number=len(alike))
             self.elements = (*self.elements, element)
@@ -263,9 +269,15 @@ class Model(PlainMethods, Shown, eqx.Module):
         )
         return replace(model, parameters=parameters).with_values(values or {})
 
-    def for_records(self, records: Sequence[Record]) -> "Model":
-        """The same model, what its elements leave open set as these records suggest."""
-        elements = tuple(element.for_records(records, self.equations) for element in self.elements)
+    def for_records(self, records: Records) -> "Model":
+        """The same model, what its elements leave open set as these records suggest.
+
+        **Raises:** as [`as_records`][riecjax.records.record.as_records], and as each element does.
+        """
+        if not self.elements:
+            return self
+        every = as_records(records)
+        elements = tuple(element.for_records(every, self.equations) for element in self.elements)
         unchanged = all(a is b for a, b in zip(elements, self.elements))
         return self if unchanged else replace(self, elements=elements)
 

@@ -126,9 +126,22 @@ class ShapedStage(NamedTuple):
         size fits, and what is left without the last one."""
         fit = self.projected(at)
         sizes = fit.theta[..., len(self.unknown) :]
-        good = xp.all(sizes > 0, axis=-1) & (fit.target > 0) & xp.isfinite(fit.energy)
-        target = xp.where(fit.target > 0, fit.target, 1.0)
+        target = self._target(at, fit)
+        good = xp.all(sizes > 0, axis=-1) & (target > 0) & xp.isfinite(fit.energy)
+        target = xp.where(target > 0, target, 1.0)
         return xp.where(good, fit.energy / target, xp.inf), fit.without_last().energy / target
+
+    def _target(
+        self, at: Float[Array, "*batch shapes"], fit: "Projected"
+    ) -> Float[Array, "*batch"]:
+        """Energy of the target D y, of which no known force of an element sought is part: it
+        changes with the shape, and shares of it would be small where it is large."""
+        known = {one.linear for one in self.sought} & {*self.given}
+        if not known:
+            return fit.target
+        bare = self._replace(given={**self.given, **dict.fromkeys(known, np.zeros(()))})
+        energy = bare.energy(self.moments, at, xp.zeros_like(fit.theta))
+        return xp.where(energy > 0, energy, fit.target)
 
     def slope_and_bend(
         self, at: Float[Array, " shapes"]

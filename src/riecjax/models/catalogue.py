@@ -371,7 +371,8 @@ def with_asked(model: "Model", elements: "Elements") -> "Model":
     added = []
     for kind, place, near in asked:
         of = as_element_class(kind, object_of_file(kind)) if ".py" in kind else element_class(kind)
-        added.append(of.at(place, near))
+        with users_code(f"the element {of.__name__}"):
+            added.append(of.at(place, near))
     # A sensor has one zero and one gain, however often it is asked for.
     once = dict.fromkeys(one for one in added if not one.coordinates)
     model = model.with_elements(*once, *(one for one in added if one.coordinates))

@@ -216,7 +216,7 @@ def as_balances(model: Balances) -> tuple[ByFunction, ...]:
     if isinstance(model, Equation | Model):
         if isinstance(model, Model) and model.has_hidden:
             raise ModelError(
-                "hidden modes and springs have states of their own, which no integral of the "
+                "hidden elements have motions of their own, which no integral of the "
                 "equations shows: refine by rx.OutputError()."
             )
         equations = (model,) if isinstance(model, Equation) else model.equations

@@ -151,13 +151,13 @@ def parts(
 SIGNAL = r"([^=\s](?:[^=]*[^=\s])?)\s*(?:=\s*(.*\S))?"
 PLACE = parts(("x", None), "SIGNAL[=HZ]", SIGNAL, "{}={}", TEXT, POSITIVE)
 """A signal, and perhaps a frequency near which something is looked for."""
-ELEMENT = parts(
+ELEMENT = dataclasses.replace(parts(
     ("mode", "x", None),
     "KIND:SIGNAL[=HZ]",
     r"((?:.*\.py\s*:)?[^:]*[^:\s])\s*:\s*" + SIGNAL,
     "{}:{}={}",
     *(TEXT, TEXT, POSITIVE),
-)
+), path="code")  # fmt: skip
 """A kind of element, where it is looked for, and perhaps near which frequency."""
 ENDS = parts((0.0, None), "LOW:HIGH", r"(.*\S)?\s*:\s*(.+)?", "{}:{}", LIMIT, LIMIT)
 """Both ends of a range, either of which may be left out."""

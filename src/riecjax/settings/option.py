@@ -200,7 +200,7 @@ class Option:
         if self.kind.path == "file":
             return Path(move(str(value)))
         code = PYTHON_FILE.fullmatch(str(value))
-        return value if code is None else move(code["file"]) + (code["object"] or "")
+        return value if code is None else move(code["file"]) + code["object"]
 
     def beside(self, given: Any, further: Any) -> Any:
         """A further value, to be said where there is a given one: a list goes on, and what is named
@@ -223,7 +223,7 @@ def _number(text: str) -> float | str:
     return value if is_number and number_text(value) == text else text
 
 
-PYTHON_FILE = re.compile(r"(?P<file>.+\.py)(?P<object>:[^:/\\]*)?")
+PYTHON_FILE = re.compile(r"(?P<file>.+?\.py)(?P<object>(?::[^:/\\]*)*)")
 OPTION = "option"
 
 
