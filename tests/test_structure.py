@@ -17,13 +17,13 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 49_310,
-    "src modules": 209,
-    "src statements": 23_675,
+    "src lines": 50_190,
+    "src modules": 214,
+    "src statements": 24_165,
     "src literals": 1_430,
     "lines of commands and settings": 2_300,
-    "tests lines": 27_535,
-    "benchmarks lines": 9_365,
+    "tests lines": 28_130,
+    "benchmarks lines": 9_555,
     "README lines": 150,
 }
 LEAST_PROSE = 17

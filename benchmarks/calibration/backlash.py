@@ -114,9 +114,8 @@ def random_drives(count: int, seed: int, ratios: tuple[float, float]) -> Drives:
         angles = moved(play)
     spread = NOISE * np.std(angles[:, 0] - angles[:, 1], axis=0)
     noisy = angles + spread * random.standard_normal(angles.shape)
-    values = dict(
-        zip(("J_m", "J_l", "d_m", "d_l", "k", "play"), (*inertias, *dampings, stiffness, play))
-    )
+    names = ("J_m", "J_l", "d_m", "d_l", "k", "play")
+    values: dict[str, Any] = dict(zip(names, (*inertias, *dampings, stiffness, play)))
     taken = torque[: 2 * len(angles) * FINER : 2 * FINER]
     return Drives(values, {"q_m": noisy[:, 0], "q_l": noisy[:, 1], "tau": taken})
 

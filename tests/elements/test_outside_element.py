@@ -57,7 +57,7 @@ def exact(force):
     )
     pushed = np.concatenate([np.zeros(2), np.linalg.solve(masses, [1.0, 0.0])])[:, None]
     system = scipy.signal.StateSpace(rate, pushed, np.eye(4), np.zeros((4, 1)))
-    _, states, _ = scipy.signal.lsim(system, force, np.arange(force.size) * STEP)
+    states = scipy.signal.lsim(system, force, np.arange(force.size) * STEP)[1]  # pyright: ignore
     return dict(zip(("x1", "x2", "v1", "v2"), states.T))
 
 

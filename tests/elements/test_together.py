@@ -69,7 +69,7 @@ def test_modes_in_a_fleet(tmp_path):
     told = [entry for entry in found.entries if entry.status == "ok"]
     assert len(told) == 2 * len(MODE_TRUTH)
     for entry in told:
-        assert entry.value == pytest.approx(MODE_TRUTH[entry.parameter], rel=0.02)
+        assert entry.value == pytest.approx(MODE_TRUTH[str(entry.parameter)], rel=0.02)
 
 
 @pytest.mark.slow

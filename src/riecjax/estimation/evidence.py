@@ -1,11 +1,13 @@
 """What recordings say for elements that were found; see `riecjax.elements.evidence`."""
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
-from riecjax.elements.evidence import ElementTests, Evidence, Held
+from riecjax.elements.evidence import ElementTests, Held
 from riecjax.equations.element import Element
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
@@ -20,9 +22,9 @@ FOLDS = 10
 """Stretches of time that are left out in turn."""
 
 
-def element_evidence(model: Equation | Model, estimate: Estimate) -> list[Evidence]:
+def element_evidence(model: Equation | Model, estimate: Estimate) -> list[Any]:
     """What speaks for the elements of an estimate: of each stage the last one of each class that
-    has a test (not under jit).
+    has a test, an [`Evidence`][riecjax.elements.Evidence] of that class (not under jit).
 
     **Raises:** `ModelError` for an estimate without a Summary or a model without such elements.
     """
