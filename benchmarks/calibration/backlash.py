@@ -189,9 +189,9 @@ def in_words(report: dict[str, Any]) -> str:
     """What the page on elements says of it."""
     errors, small, large = report["median_error_percent"], *report["alone"].values()
     return (
-        f"On {report['drives']} simulated drives of 20 s, with a play of 0.2 to 3 times the twist's "
-        f"rms and 1 % of that as noise of both encoders (`python -m benchmarks.calibration "
-        f"backlash`), it is found and carried in {report['found']}; the median error of the width "
+        f"On {report['drives']} simulated drives of 20 s, with a play of 0.2 to 3 times the rms of "
+        f"the twist and 1 % of that as noise of both encoders "
+        f"(`python -m benchmarks.calibration backlash`), it is found and carried in {report['found']}; the median error of the width "
         f"is {errors['play']:.2g} % (largest {report['largest_error_percent']:.2g} %), of the "
         f"spring {errors['k']:.2g} %, and {report['covered']} intervals hold the width. Of "
         f"{report['drives']} drives without play {report['false_alarms']} are given one. From the "

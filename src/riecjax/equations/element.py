@@ -316,8 +316,9 @@ class Element(PlainMethods, eqx.Module):
 
     @property
     def is_of_equations(self) -> bool:
-        """Whether it has to be in some equation: it makes nothing of a record by itself."""
-        kind, alone = type(self), ("with_states", "trusted", "findings")
+        """Whether it has to be in some equation: it makes nothing of a record by itself, and no
+        state of a simulation."""
+        kind, alone = type(self), ("with_states", "trusted", "findings", "attached")
         return all(getattr(kind, name) is getattr(Element, name) for name in alone)
 
     def require(self, equations: Sequence[Equation], others: "Sequence[Element]") -> None:
