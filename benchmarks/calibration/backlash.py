@@ -188,14 +188,15 @@ def main(drives: int = 100, alone: int = 20, out: Path = OUT) -> None:
 def in_words(report: dict[str, Any]) -> str:
     """What the page on elements says of it."""
     errors, small, large = report["median_error_percent"], *report["alone"].values()
+    count, share = report["drives"], NOISE * 100
     return (
-        f"On {report['drives']} simulated drives of 20 s, with a play of 0.2 to 3 times the rms of "
-        f"the twist and 1 % of that as noise of both encoders "
-        f"(`python -m benchmarks.calibration backlash`), it is found and carried in {report['found']}; the median error of the width "
-        f"is {errors['play']:.2g} % (largest {report['largest_error_percent']:.2g} %), of the "
-        f"spring {errors['k']:.2g} %, and {report['covered']} intervals hold the width. Of "
-        f"{report['drives']} drives without play {report['false_alarms']} are given one. From the "
-        f"motor alone, started at half the width and 5 % off in all else, "
-        f"{small['within_5_percent']} of {small['drives']} widths below 0.3 times the rms are "
-        f"refined to within 5 %, and {large['within_5_percent']} of {large['drives']} above."
+        f"On {count} simulated drives of 20 s, with a play of 0.2 to 3 times the rms of the twist "
+        f"and {share:g} % of that as noise of both encoders, it is found and carried in "
+        f"{report['found']} (`python -m benchmarks.calibration backlash`); the median error of the "
+        f"width is {errors['play']:.2g} % (largest {report['largest_error_percent']:.2g} %), of "
+        f"the spring {errors['k']:.2g} %, and {report['covered']} intervals hold the width. Of "
+        f"{count} drives without play {report['false_alarms']} are given one. From the motor "
+        f"alone, started at half the width and 5 % off in all else, {small['within_5_percent']} of "
+        f"{small['drives']} widths below 0.3 times the rms are refined to within 5 %, and "
+        f"{large['within_5_percent']} of {large['drives']} above."
     )
