@@ -167,14 +167,14 @@ class Weighing:
             is_zero = self.rough.is_zero_of
             zeros = [d for d in causes.every if d.kind == "zero" and is_zero(d, drifting)]
             return [*told, *self._part(None, [*chosen, *zeros])]
-        mode = self._mode() if is_notable else None
-        if mode is not None and causes.is_little(mode.left**2 * causes.folds.energy):
-            return [mode]
-        return self._part(mode)
+        element = self._element() if is_notable else None
+        if element is not None and causes.is_little(element.left**2 * causes.folds.energy):
+            return [element]
+        return self._part(element)
 
-    def _part(self, mode: Cause | None, beside: Sequence[Doubt] = ()) -> list[Cause]:
+    def _part(self, element: Cause | None, beside: Sequence[Doubt] = ()) -> list[Cause]:
         """Doubts that explain a part of what is left beside some, let in one after the other, with
-        the farthest that any of them, or a mode, moves each parameter."""
+        the farthest that any of them, or an element, moves each parameter."""
         fair, every = self.causes, [*beside]
         if self.rough.admitted(beside) != every:
             # What rough columns make sure of may be the noise that they share with regressors.
@@ -184,12 +184,12 @@ class Weighing:
         some = (fair.names(every[:count]) for count in range(len(beside), len(every) + 1))
         fits = [fair.folds.values(names) for names in some]
         moves = [self._moved(fit, fits[0]) for fit in fits[1:]]
-        moved = _farthest([*moves, *([] if mode is None else [mode.moved])])
+        moved = _farthest([*moves, *([] if element is None else [element.moved])])
         before, left = (fair.rms(fair.left(some)) for some in (beside, every))
-        if chosen and (mode is None or left < mode.left):
+        if chosen and (element is None or left < element.left):
             size = fits[-1][chosen[0].name]
             return [Cause(chosen[0], size, before, left, moved, admitted=tuple(chosen))]
-        return [] if mode is None else [mode._replace(moved=moved, admitted=(mode.doubt,))]
+        return [] if element is None else [element._replace(moved=moved, admitted=(element.doubt,))]
 
     def _part_of(self, known: Mapping[Doubt, Settled]) -> list[Cause]:
         """The delay that explains most of what is left, where others are beside it: columns of what
@@ -284,20 +284,20 @@ class Weighing:
             return found
         return found if CLEARER * found.left < steady.left else None
 
-    def _mode(self) -> Cause | None:
-        """A mode on one of the bodies that explains what is left."""
+    def _element(self) -> Cause | None:
+        """An element in one of the places that explains what is left."""
         causes = self.causes
-        mode = best_element(self.asked, self.records)
-        if mode is None:
+        element = best_element(self.asked, self.records)
+        if element is None:
             return None
-        folds = folds_of(mode.asked, self.records, [mode.doubt])
-        found = Causes(folds, [mode.doubt], {}, causes.trials)
-        best = mode.doubt
+        folds = folds_of(element.asked, self.records, [element.doubt])
+        found = Causes(folds, [element.doubt], {}, causes.trials)
+        best = element.doubt
         if not (found.is_sure(best) and found.left([best]) < found.before):
             return None
         cause = self._cause(best, [best], None, found)
         moved = dict(cause.moved)
-        for doubt, asked in elsewhere(mode, self.records):
+        for doubt, asked in elsewhere(element, self.records):
             folds = folds_of(asked, self.records, [doubt])
             names = [name for name in folds.parameters if name != doubt.name]
             moved = self._moved(folds.values(folds.parameters), folds.values(names)) | moved
