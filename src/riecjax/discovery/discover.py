@@ -28,6 +28,7 @@ from riecjax.equations.motions import reading_velocities
 from riecjax.equations.term import written
 from riecjax.errors import DataError, ModelError, RiecjaxError, refuse_unknown
 from riecjax.estimation.estimate import EquationFit, Estimate
+from riecjax.estimation.evidence import is_carried
 from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
@@ -321,13 +322,14 @@ def _with_element(asked: Question, found: Discovery, recordings: list[Recording]
     stages = {name: " + ".join(names) for names in model.equation_names for name in names}
     equations = dict(zip(stages, model.equations, strict=True))
     fits = found.estimate.equations
-    # What is left of hysteresis rings like a mode: where that is not offered no element is, nor
-    # beside it.
+    # What is left of hysteresis rings like a mode: where that is not offered no such element is,
+    # nor beside it.
     hysteretic = {one.equation for one in asked.offered if isinstance(one, Shaped) and one.remember}
     tried = [
         (name, kind.at(place))
-        for name in sorted(hysteretic & {*stages}, key=lambda n: -float(fits[n].model_rms))
+        for name in sorted(stages, key=lambda n: -float(fits[n].model_rms))
         for kind in discovered_kinds()
+        if name in hysteretic or not kind.is_like_hysteresis
         for place in reversed(kind.places(equations[name], model.equations))
     ]
 
@@ -362,15 +364,18 @@ def _with_element(asked: Question, found: Discovery, recordings: list[Recording]
         left, most = estimate.equations[name].model_rms, LEAVES * float(fits[name].model_rms)
         if float(left) >= most or any(one.width and one.candidate.elements for one in chosen):
             continue
+        candidates = [one.candidate for one in chosen]
+        larger = extended(model, candidates).with_elements(element)
+        if not is_carried(larger.for_records(asked.parts(recordings)[1]), estimate):
+            continue
         start = found.estimate
         if found.chosen:
             start = _identified(asked, model, recordings, criterion)
-        candidates = [one.candidate for one in chosen]
         terms = " + ".join(candidate.name for candidate in candidates)
         path = [_step("", start.equations[name])]
         path += [_step(terms, fits[name])] if chosen else []
         path.append(_step(element.kind, estimate.equations[name]))
-        near = replace(element, number=0).found_near(estimate.values)
+        near = element.found_near(estimate.values)
         return replace(
             found,
             model=extended(model, candidates).with_elements(near),
@@ -406,7 +411,7 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     estimate = found.estimate
     values = {n: float(estimate[n]) for n in (*estimate.parameters, *estimate.known)}
     terms = [chosen.candidate for chosen in found.chosen]
-    hidden = () if found.element is None else replace(found.element, number=0).hidden
+    hidden = () if found.element is None else found.element.hidden
     of_element = {name: value for name, value in values.items() if name in hidden}
     added: dict[str, list[str]] = {}
     for candidate in terms:

@@ -73,6 +73,7 @@ class Backlash(Element):
     words: ClassVar = "the backlash"
     coordinates: ClassVar = 1
     test: ClassVar = "backlash"
+    is_discovered: ClassVar = True
 
     def __check_init__(self):
         require("what play is in series with", self.of, str, "rx.Backlash(of='k')")
@@ -82,6 +83,16 @@ class Backlash(Element):
     def at(cls, place: str, near: float | None = None) -> "Backlash":
         """In series with the spring of a coefficient, near a width."""
         return cls(place, near)
+
+    @classmethod
+    def places(cls, equation: Equation, equations: Sequence[Equation]) -> tuple[str, ...]:
+        """Coefficients of an equation's springs."""
+        springs = (t for t in equation.terms if t.is_linear and not t.derivative)
+        return tuple(str(t.name) for t in springs if t.parameters and t.unit in TWIST_UNITS)
+
+    def found_near(self, values: Values) -> "Backlash":
+        """The play, near the width that these values have."""
+        return Backlash(self.of, float(f"{float(values[self.hidden[0]]):.4g}"))
 
     @property
     def described(self) -> str:

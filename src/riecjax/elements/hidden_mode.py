@@ -82,6 +82,7 @@ class HiddenMode(Element):
     coordinates: ClassVar = 2
     test: ClassVar = "modes"
     is_discovered: ClassVar = True
+    is_like_hysteresis: ClassVar = True
     is_doubted: ClassVar = True
 
     def __check_init__(self):

@@ -72,6 +72,7 @@ class SeriesSpring(Element):
     words: ClassVar = "the spring in series"
     order: ClassVar = 1
     coordinates: ClassVar = 1
+    is_discovered: ClassVar = True
     absence: ClassVar = Absence(
         "series_spring_not_carried",
         TOLD_LAG,

@@ -245,6 +245,8 @@ class Element(PlainMethods, eqx.Module):
 
     is_discovered: ClassVar[bool] = False
     """Whether `discover` tries one beside terms, which costs an estimate for each place."""
+    is_like_hysteresis: ClassVar[bool] = False
+    """Whether what is left of hysteresis looks like it: it is tried only where that is offered."""
 
     @classmethod
     def places(cls, equation: Equation, equations: Sequence[Equation]) -> tuple[str, ...]:

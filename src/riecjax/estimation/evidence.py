@@ -57,6 +57,15 @@ def element_evidence(model: Equation | Model, estimate: Estimate) -> list[Any]:
     return evidence
 
 
+def is_carried(model: Model, estimate: Estimate) -> bool:
+    """Whether every searched element of a model is one, and told from none, by an estimate."""
+    hidden = {name for element in model.hidden for name in element.hidden}
+    ruled_out = {n for f in estimate.findings() if f.about.rules_out for n in f.parameters}
+    if any(float(estimate[name]) <= 0 for name in hidden) or hidden & ruled_out:
+        return False
+    return all(one.carried for test in element_tests(model, estimate) for one in test.evidence)
+
+
 def element_tests(model: Model, estimate: Estimate) -> list[ElementTests]:
     """The evidence by the test that it belongs to; none of a model without such elements."""
     if not any(element.test for element in model.hidden):
