@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
-from tests.machines import BODY, LATE, OTHERS, PROBLEMS, STANDARD
+from tests.machines import BODY, LAG_TRUTH, LATE, OTHERS, PROBLEMS, STANDARD, body_with_lag
 from tests.machines import MODE_TRUTH as TRUTH
 from tests.machines import body_with_mode as motion
 
@@ -35,6 +35,19 @@ def carrying(noise: float = 0.0) -> rx.Record:
         {n: s + noise * np.std(s) * rng.standard_normal(s.size) for n, s in clean.items()},
         STANDARD.step,
     )
+
+
+def test_a_spring_in_series_is_found_instead_of_a_mode_of_negative_mass(tmp_path):
+    """Terms and a mode, whose mass is then below zero, make up for a damper's lag."""
+    record = rx.Record.from_samples(body_with_lag(8000), time_step=STANDARD.step)
+    found = discover(rx.staged(BODY), record, **QUICK)
+    assert found.names == ("spring",)
+    for name, value in LAG_TRUTH.items():
+        assert float(found.estimate[name]) == pytest.approx(value, rel=0.01)
+    (tmp_path / "body.py").write_text("import riecjax as rx\n")
+    text = model_source(found, "body.py:BODY", tmp_path)
+    assert 'rx.SeriesSpring("c")' in text
+    assert "a spring in series with c" in sentence(found)
 
 
 @pytest.fixture(scope="module")
