@@ -17,13 +17,13 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 50_190,
+    "src lines": 50_215,
     "src modules": 214,
-    "src statements": 24_165,
+    "src statements": 24_180,
     "src literals": 1_430,
     "lines of commands and settings": 2_300,
-    "tests lines": 28_130,
-    "benchmarks lines": 9_555,
+    "tests lines": 28_145,
+    "benchmarks lines": 9_570,
     "README lines": 150,
 }
 LEAST_PROSE = 17
