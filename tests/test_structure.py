@@ -36,7 +36,7 @@ MANY_IMPORTS = {
     "riecjax.assessment.assess": 29,
     "riecjax.assessment.output_error_search": 14,
     "riecjax.discovery.candidate": 13,
-    "riecjax.discovery.discover": 23,
+    "riecjax.discovery.discover": 24,
     "riecjax.doubts.check": 21,
     "riecjax.doubts.equation_faults": 13,
     "riecjax.elements.backlash": 13,
