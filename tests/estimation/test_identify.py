@@ -65,7 +65,7 @@ def assert_relative(found, expected, tolerance):
 def numpy_quarter_car(windows, record, by_wheel):
     s = {name: np.asarray(values) for name, values in record.arrays.items()}
     step = float(record.time_step)
-    drawn = windows.draw(KEY, s["x1"].size, jnp.asarray(step))
+    drawn = windows.draw(KEY, record)
     start, stop = np.asarray(drawn.start), np.asarray(drawn.stop)
 
     def integral(samples):
