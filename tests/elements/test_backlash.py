@@ -155,6 +155,7 @@ def test_what_cannot_be_asked(make, words):
 def test_it_is_discovered_instead_of_terms(loose):
     found = rx.discover(DRIVE, as_record(loose))
     assert found.names == ("backlash",)
+    assert found.element is not None
     assert found.element == rx.Backlash("k", near=found.element.near)
     assert found.element.near == pytest.approx(0.08, rel=0.02)
     assert float(found.estimate["J_m"]) == pytest.approx(TRUTH["J_m"], rel=0.05)
