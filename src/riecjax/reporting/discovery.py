@@ -148,22 +148,17 @@ def _something_else(found: Discovery) -> str:
     if not found.leaves_more:
         return beside
     left = " Most of what is left is no noise: something that is no candidate is missing"
-    equations = found.model.equations
-    ways = {
-        place: kind
-        for kind in discovered_kinds()
-        for equation in equations
-        for place in kind.places(equation, equations)
-    }
     if found.element is not None:
         return f"{left} too.{beside} Add terms to the model by hand."
-    if not ways:
-        return f"{left}; no equation holds an inertia."
-    kind = next(iter(ways.values()))
-    return (
-        f"{left}, such as a {kind.kind} beside terms (identify with {kind.option()} "
-        f"{' or '.join(ways)})."
-    )
+    equations = found.model.equations
+    for kind in discovered_kinds():
+        places = dict.fromkeys(of for e in equations for of in kind.places(e, equations))
+        if places:
+            return (
+                f"{left}, such as a {kind.kind} beside terms (identify with {kind.option()} "
+                f"{' or '.join(places)})."
+            )
+    return f"{left}; no equation holds an inertia."
 
 
 def _late(found: Discovery) -> str:
