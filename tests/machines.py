@@ -570,6 +570,27 @@ def body_with_lag(
     return body(body_matrix(LAG_TRUTH["c"], mode, series), count, seed)
 
 
+# A drive: motor and load, and a spring between them, before which there may be play.
+
+_TWIST = rx.difference("q_m", "q_l")
+_MOTOR = rx.Equation(
+    rx.Term("J_m", "q_m", derivative=2, unit="kg m^2"),
+    rx.Term("d_m", "q_m", derivative=1, unit="N m s/rad"),
+    rx.Term("k", _TWIST, unit="N m/rad"),
+    -rx.Term(1.0, "tau"),
+    name="motor",
+    unit="N m",
+)
+_LOAD = rx.Equation(
+    rx.Term("J_l", "q_l", derivative=2, unit="kg m^2"),
+    rx.Term("d_l", "q_l", derivative=1, unit="N m s/rad"),
+    -rx.Term("k", _TWIST, unit="N m/rad"),
+    name="load",
+    unit="N m",
+)
+DRIVE = rx.staged(_MOTOR, _LOAD)
+
+
 # A joint that sticks: J q'' + d q' + (Fc + Fs e^-(q'/vs)^2) sign(q') + mgl sin(q) = tau.
 
 JOINT_TRUTH = {"J": 0.8, "d": 1.2, "Fc": 2.0, "Fs": 1.5, "mgl": 6.0}

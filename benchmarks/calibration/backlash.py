@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from tests.machines import DRIVE
 
 import riecjax as rx
 from benchmarks.recorded import FOLDER, filled_in, write_json
@@ -32,23 +33,7 @@ SMALL = 0.3
 PASSES = 5
 """Simulations in which the ratio of play to twist is brought to what is asked for."""
 
-TWIST = rx.difference("q_m", "q_l")
-MOTOR = rx.Equation(
-    rx.Term("J_m", "q_m", derivative=2, unit="kg m^2"),
-    rx.Term("d_m", "q_m", derivative=1, unit="N m s/rad"),
-    rx.Term("k", TWIST, unit="N m/rad"),
-    -rx.Term(1.0, "tau"),
-    name="motor",
-    unit="N m",
-)
-LOAD = rx.Equation(
-    rx.Term("J_l", "q_l", derivative=2, unit="kg m^2"),
-    rx.Term("d_l", "q_l", derivative=1, unit="N m s/rad"),
-    -rx.Term("k", TWIST, unit="N m/rad"),
-    name="load",
-    unit="N m",
-)
-MODEL = rx.staged(MOTOR, LOAD).with_elements(rx.Backlash("k"))
+MODEL = DRIVE.with_elements(rx.Backlash("k"))
 FOUND = ("play", "k", "J_m", "J_l")
 
 

@@ -2,36 +2,14 @@
 
 import numpy as np
 import pytest
+from tests.machines import DRIVE
 
 import riecjax as rx
 from riecjax.cli.main import run
 
 RATE, FINER = 500.0, 8
 TRUTH = {"J_m": 1.2e-3, "d_m": 4e-3, "k": 6.0, "J_l": 2.5e-3, "d_l": 6e-3}
-MODEL_FILE = """
-import riecjax as rx
-
-TWIST = rx.difference("q_m", "q_l")
-MOTOR = rx.Equation(
-    rx.Term("J_m", "q_m", derivative=2, unit="kg m^2"),
-    rx.Term("d_m", "q_m", derivative=1, unit="N m s/rad"),
-    rx.Term("k", TWIST, unit="N m/rad"),
-    -rx.Term(1.0, "tau"),
-    name="motor",
-    unit="N m",
-)
-LOAD = rx.Equation(
-    rx.Term("J_l", "q_l", derivative=2, unit="kg m^2"),
-    rx.Term("d_l", "q_l", derivative=1, unit="N m s/rad"),
-    -rx.Term("k", TWIST, unit="N m/rad"),
-    name="load",
-    unit="N m",
-)
-DRIVE = rx.staged(MOTOR, LOAD)
-"""
-SPACE: dict = {}
-exec(MODEL_FILE, SPACE)
-DRIVE = SPACE["DRIVE"]
+MODEL_FILE = "from tests.machines import DRIVE\n"
 LOOSE = DRIVE.with_elements(rx.Backlash("k"))
 
 

@@ -7,8 +7,8 @@ Two modes and a mode with a spring are in `tests/estimation`, hysteresis in `dis
 import numpy as np
 import pandas
 import pytest
-from test_backlash import DRIVE, LOOSE, as_record, turned
-from tests.machines import BODY, LAG_MODEL, MODE_MODEL, MODE_TRUTH, STANDARD, body_with_mode
+from test_backlash import LOOSE, as_record, turned
+from tests.machines import BODY, DRIVE, LAG_MODEL, MODE_MODEL, MODE_TRUTH, STANDARD, body_with_mode
 
 import riecjax as rx
 

@@ -6,9 +6,9 @@ up half of it:
     f = k (x - clip(x, -b/2, b/2)).
 
 With both sides recorded, each width makes a column of its own, in which the equation is linear. The
-sums hold those of a ladder of widths, and a width between two of them has a column between theirs:
-of samples beyond both exactly so, and of those between them by the mean over where they lie. So the
-width is searched as any shape is, once the sums are there.
+sums hold those of a ladder of widths, and a width between two steps has a combination of the four
+columns around it, whose products with others are those of its own to third order in the steps. So
+the width is searched as any shape is, once the sums are there.
 
 From one side alone the twist is not known, and the width is refined by simulation.
 """
@@ -25,7 +25,7 @@ from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.charts import BLUE, GREY, RUST, Axis, Level, Line, Panel, labelled
 from riecjax.elements.evidence import Evidence, Held
-from riecjax.equations.bases import AbstractBasis
+from riecjax.equations.bases import AbstractBasis, beyond
 from riecjax.equations.element import Attached, Band, Element, Shape, Values, require_near
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import evaluate
@@ -97,9 +97,8 @@ class Backlash(Element):
     @property
     def described(self) -> str:
         """`play in series with k`."""
-        return f"play in series with {self.of}" + (
-            "" if self.near is None else f" near {self.near:g}"
-        )
+        near = "" if self.near is None else f" near {self.near:g}"
+        return f"play in series with {self.of}{near}"
 
     def require(self, equations: Sequence[Equation], others: Sequence[Element]) -> None:
         """Raise `ModelError` for what is no one spring, or has play already."""
@@ -215,9 +214,9 @@ class Backlash(Element):
         apart = (at - steps) / (steps[1] - steps[0])
         far = apart * xp.sign(xp.real(apart))
         near = (1.5 * far - 2.5) * far**2 + 1
-        beyond = ((-0.5 * far + 2.5) * far - 4) * far + 2
+        next_to = ((-0.5 * far + 2.5) * far - 4) * far + 2
         places = xp.real(far)
-        weights = xp.where(places < 1, near, xp.where(places < 2, beyond, 0.0))
+        weights = xp.where(places < 1, near, xp.where(places < 2, next_to, 0.0))
         return Shape.weighing(xp.concatenate([xp.zeros_like(at), weights], axis=-1))
 
     def values_at(self, at: Float[Array, "1"], values: Values) -> dict[str, Array]:
@@ -287,8 +286,7 @@ class Plays(AbstractBasis):
 
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "widths n"]:
         """x - clip(x, -width / 2, width / 2)."""
-        half = 0.5 * xp.asarray(self.widths)[:, None]
-        return x[None] - xp.clip(x[None], -half, half)
+        return beyond(x[None], 0.5 * xp.asarray(self.widths)[:, None])
 
 
 class Slack(AbstractTerm):
@@ -316,8 +314,7 @@ class Slack(AbstractTerm):
         if self.basis is not None:
             return super().force(values, x)
         stiffness, width = values
-        half = 0.5 * xp.maximum(width, 0.0)
-        return stiffness * (x - xp.clip(x, -half, half))
+        return stiffness * beyond(x, 0.5 * xp.maximum(width, 0.0))
 
 
 # It prints in words, which no named tuple can take from a base class.

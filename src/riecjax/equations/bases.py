@@ -228,6 +228,11 @@ class AbstractShape(AbstractBasis):
         return f"rx.equations.{type(self).__name__}({float(np.asarray(self.width))!r})"
 
 
+def beyond(x: Array, half: Leaf) -> Array:
+    """What of x is beyond a half width on either side: x - clip(x, -half, half)."""
+    return x - xp.clip(x, -half, half)
+
+
 class DeadZone(AbstractShape):
     """Nothing within +-width, and what is beyond it outside: play, a gap, a stop."""
 
@@ -235,7 +240,7 @@ class DeadZone(AbstractShape):
 
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "1 n"]:
         """x - clip(x, -width, width)."""
-        return (x - xp.clip(x, -self.width, self.width))[None]
+        return beyond(x, self.width)[None]
 
 
 class Saturation(AbstractShape):

@@ -13,8 +13,14 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.projection import Bins, Projected, ShapedStage, find_shapes, search_band
-from riecjax.estimation.projection import polished as polished_shapes
+from riecjax.estimation.projection import (
+    Bins,
+    Projected,
+    ShapedStage,
+    find_shapes,
+    polished,
+    search_band,
+)
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.summary import Summary
 
@@ -36,21 +42,21 @@ def element_evidence(model: Equation | Model, estimate: Estimate) -> list[Any]:
     found = find_shapes(model, summary, given)
     evidence, known = [], dict(given)
     for i, equations in enumerate(model.expanded):
-        stage = ShapedStage.of(equations, summary.equations()[i], known)
-        last = {type(element): element for element in stage.sought if element.test}
         sums = summary.equations(found.bands[i])[i]
+        stage = ShapedStage.of(equations, sums, known)
+        last = {type(element): element for element in stage.sought if element.test}
         for element in last.values():
             own = [estimate.parameters.index(name) for name in element.hidden]
             held = Held(
                 element,
                 model.plan(set(known))[i][0],
-                ShapedStage.of(equations, sums, known),
+                stage,
                 found.at[i],
                 search_band(summary, element),
                 values,
                 np.asarray(estimate.covariance)[np.ix_(own, own)],
                 _lengths(summary, found.bands[i]),
-                *_held_out(element, ShapedStage.of(equations, sums, known), sums, found.at[i]),
+                *_held_out(element, stage, sums, found.at[i]),
             )
             evidence.append(element.evidence(held))
         known |= {n: np.asarray(values[n]) for e in equations for n in e.all_parameters}
@@ -114,7 +120,7 @@ def _held_out(
     def of_fold(number: int) -> tuple[Array, Array]:
         others = [whole - fold[number] for whole, fold in zip(stage.moments, folds)]
         train = stage._replace(moments=others)
-        there = polished_shapes(train, at)
+        there = polished(train, at)
         fit = train.projected(there)
         own = [fold[number] for fold in folds]
         target = stage._replace(moments=own).projected(there).target
