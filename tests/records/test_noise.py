@@ -4,12 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.integrate
 import scipy.signal
 
 import riecjax as rx
 from nightly import nightly
 from riecjax.records import judged, stack_records
-from riecjax.records.noise_judgement import blackman_harris
+from riecjax.records.noise_judgement import blackman_harris, judged_together
+from riecjax.records.relations import Relation
 from riecjax.records.signal import noise_level
 
 STEP = 0.01
@@ -214,6 +216,89 @@ def test_noise_of_uneven_samples_that_are_resampled(tmp_path):
     found = rx.read_recording(file, resample=200.0).record.noise
     assert float(found.std("a")) == pytest.approx(float(smooth.std("a")), rel=0.1)
     assert 0.7 * 0.02 < float(smooth.std("a")) < 0.02
+
+
+RATE, FINE = 200.0, 20
+
+
+def broad_motion(seed=0, size=8000):
+    """Position, velocity and acceleration under a random force of up to 70 Hz, at 200 Hz."""
+    rough = np.random.default_rng(seed).normal(size=size * FINE)
+    band = scipy.signal.butter(3, [0.5, 70.0], "bandpass", fs=RATE * FINE, output="sos")
+    motion = {"a": np.asarray(scipy.signal.sosfiltfilt(band, rough))}
+    for name, of in (("v", "a"), ("x", "v")):
+        total = scipy.integrate.cumulative_simpson(motion[of], dx=1 / RATE / FINE, initial=0)
+        motion[name] = total - np.mean(total)
+    return {name: values[::FINE] for name, values in motion.items()}
+
+
+def together(signals, pairs, given=(), **sizes):
+    """Judged standard deviations over the true ones, of each signal alone and by relations; and by
+    how many of its standard errors the furthest of the second kind is off."""
+    rng = np.random.default_rng(7)
+    noisy = {n: v + sizes[n] * rng.normal(size=v.size) for n, v in signals.items()}
+    alone = judged(rx.Record(noisy, 1 / RATE), {name: sizes[name] for name in given})
+    told = judged_together(alone, pairs, given)
+    found = [{n: std(one, n) / sizes[n] for n in signals} for one in (alone, told)]
+    freedom = {n: float(told.noise.freedom.get(n, 0)) for n in signals if n not in given}
+    return *found, max(abs(found[1][n] - 1) * np.sqrt(2 * freedom[n]) for n in freedom)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.2])
+def test_sensors_of_one_motion_tell_each_other_s_noise(share):
+    motion, pairs = broad_motion(), [("x", "v"), ("v", "a")]
+    sizes = {name: share * np.std(values) for name, values in motion.items()}
+    alone, told, off = together(motion, pairs, **sizes)
+    assert abs(alone["a"] - 1) > 0.25
+    assert off < 3
+    assert told == pytest.approx(dict.fromkeys("xva", 1.0), abs=0.2)
+    _, told, off = together(motion, pairs, ["v"], **sizes)
+    assert off < 3
+    assert told["v"] == pytest.approx(1.0, rel=1e-12)
+
+
+def test_a_position_and_its_acceleration_do_without_the_velocity():
+    motion = broad_motion()
+    signals = {name: motion[name] for name in "xa"}
+    sizes = {name: 0.05 * np.std(values) for name, values in signals.items()}
+    alone, _, off = together(signals, [("x", "v"), ("v", "a")], **sizes)
+    assert alone["a"] > 2
+    assert off < 3
+
+
+def test_a_gain_and_a_delay_are_no_noise():
+    motion = broad_motion(1, 8001)
+    sizes = {name: 0.03 * np.std(values) for name, values in motion.items()}
+    late = np.interp(np.arange(8000) + 0.7, np.arange(8001), motion["v"])
+    signals = {"x": motion["x"][:8000], "v": 1.04 * late}
+    told = together(signals, [("x", "v")], x=sizes["x"], v=sizes["v"])[1]
+    assert told == pytest.approx({"x": 1, "v": 1}, abs=0.15)
+
+
+def test_of_a_sum_the_signals_share_what_they_have_together():
+    wheel, body = broad_motion(2), broad_motion(3)
+    signals = {"x": wheel["x"] - body["x"], "v": wheel["v"], "w": body["v"]}
+    sizes = {name: 0.05 * np.std(values) for name, values in signals.items()}
+    relation = Relation("x", (("v", 1.0), ("w", -1.0)))
+    told = together(signals, [relation], **sizes)[1]
+    assert told["x"] == pytest.approx(1.0, abs=0.1)
+    share = np.array([sizes["v"], sizes["w"]])
+    both = np.linalg.norm([told["v"], told["w"]] * share) / np.linalg.norm(share)
+    assert both == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_is_more_than_noise_tells_nothing():
+    """An accelerometer on a part that swings by itself, and a velocity made of the position."""
+    motion = broad_motion(4)
+    swing = scipy.signal.butter(2, [8.0, 12.0], "bandpass", fs=RATE, output="sos")
+    elsewhere = motion["a"] + 0.3 * np.asarray(scipy.signal.sosfilt(swing, motion["a"]))
+    sizes = {name: 0.02 * np.std(values) for name, values in motion.items()}
+    signals = {"v": motion["v"], "a": elsewhere}
+    alone, told, _ = together(signals, [("v", "a")], v=sizes["v"], a=sizes["a"])
+    assert told == alone
+    position = motion["x"] + white(sizes["x"], 1, 8000)
+    record = judged(rx.Record({"x": position, "v": np.gradient(position) * RATE}, 1 / RATE))
+    assert std(judged_together(record, [("x", "v")]), "x") == std(record, "x")
 
 
 @pytest.mark.parametrize("size", [7, 256, 1001])

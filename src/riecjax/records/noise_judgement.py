@@ -23,7 +23,9 @@ from riecjax import arrays as xp
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf
 from riecjax.records.faults.sampled_signal import levels_of, resolution_of, rounding_of
+from riecjax.records.kinematic_noise import variances
 from riecjax.records.record import Record, deviation, runs
+from riecjax.records.relations import Pairs, relations
 from riecjax.records.signal import (
     DIFFERENCE_ORDER,
     REPEATS,
@@ -269,6 +271,36 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
             with np.errstate(all="ignore"):
                 estimates[name] = noise_of_level(name, noise_level(signal.with_nan), signal, others)
     return known.with_noise(Noise.of(estimates))
+
+
+@np.errstate(all="ignore")
+def judged_together(record: Record, pairs: Pairs, given: Collection[str] = ()) -> Record:
+    """A record whose sensors of one motion told each other's noise.
+
+    Their relations tell white noise from motion, however broad that is; a spectrum alone does not.
+    Not under jit, where the record stays as it is.
+
+    **Arguments:** `record`, whose signals are [`judged`][riecjax.records.judged] each by itself;
+    `pairs` of a signal and its derivative, or relations; `given`, signals whose noise stays.
+    """
+    one_motion = {name for one in relations(pairs) for name in one.names} & {*record.arrays}
+    noise = record.noise
+    # What other signals are made of stays as it was when these were.
+    made_of = {source for n, kernels in noise.kernels.items() for source in {*kernels} - {n}}
+    white = [n for n in one_motion & {*noise.kernels} - made_of if noise[n].is_white_of(n)]
+    own = {name: float(noise.std(name)) ** 2 for name in white if xp.is_concrete(record)}
+    known = {name: own.pop(name) for name in [*own] if name in given}
+    if not own or any(record.arrays[name].ndim > 1 for name in own):
+        return record
+    better = {}
+    told = variances(record.select(*own, *known), pairs, known, own)
+    for name, (variance, error) in told.items():
+        if error < variance:
+            freedom = np.asarray(2 * (variance / error) ** 2)
+            better[name] = SignalNoise({name: np.sqrt([variance])}, {name: freedom})
+        elif own[name] > 0:
+            better[name] = np.sqrt(variance / own[name]) * noise[name]
+    return record.with_noise(Noise.of(better))
 
 
 def noise_entries(records: Sequence[Record], names: Iterable[str]) -> dict[str, dict[str, object]]:

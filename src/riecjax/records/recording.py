@@ -12,7 +12,7 @@ import numpy as np
 from riecjax.errors import DataError, MissingSignalError, ModelError, printable, require
 from riecjax.findings import Finding
 from riecjax.records.faults.rows import duplicates, without_repetitions
-from riecjax.records.noise_judgement import given_noise
+from riecjax.records.noise_judgement import given_noise, judged_together
 from riecjax.records.preparation.filtering import without_computed
 from riecjax.records.preparation.steps import halves, idle_cuts, prepare, split
 from riecjax.records.reading.channels import LONGEST_MESSAGE, Channels, read_channels
@@ -257,7 +257,8 @@ def _recording(
         pairs, given = declared_pairs(model), given_noise(settings.noise, record.arrays).kernels
         record, found = without_computed(record, pairs, given)
         aligned = aligning(record, pairs, settings.align)
-        record, last_steps = prepare(aligned.record, getattr(model, "derived", {}), after)
+        record = judged_together(aligned.record, pairs, given)
+        record, last_steps = prepare(record, getattr(model, "derived", {}), after)
     findings = [
         *(Finding("time_unit_doubtful", why, doubt=1.0) for why in filter(None, [selected.doubt])),
         *(Finding("unit_mismatch", why, (name,), doubt=1.0) for name, why in mismatches.items()),

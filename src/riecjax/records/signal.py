@@ -87,6 +87,10 @@ class SignalNoise:
         taps = list(self.kernels.values())
         return xp.sqrt(sum((xp.sum(xp.asarray(t) ** 2, axis=-1) for t in taps), np.zeros(())))
 
+    def is_white_of(self, sensor: str) -> bool:
+        """Whether there is none but the white noise of this sensor."""
+        return all(s == sensor and taps.shape[-1] == 1 for s, taps in self.kernels.items())
+
     def of_each(self, made: Callable[[Any], Leaf]) -> "SignalNoise":
         """The same sources through other taps, made of the kernel of each."""
         return SignalNoise({s: made(taps) for s, taps in self.kernels.items()}, self.freedom)

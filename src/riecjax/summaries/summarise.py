@@ -20,7 +20,7 @@ from riecjax.elements.catalogue import trusted, with_states
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import AtRest, Model, as_model, with_rests
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
-from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
+from riecjax.records.noise_judgement import GivenNoise, given_noise, judged, judged_together
 from riecjax.records.preparation.filtering import without_computed
 from riecjax.records.reading.units import contradict
 from riecjax.records.record import Record, Records
@@ -149,6 +149,7 @@ def ready(model: Model, records: Records, noise: GivenNoise = "auto") -> list[Re
             known = {**record.noise.kernels, **given_noise(noise, record.arrays).kernels}
             record = judged(record, noise)
             record, found = without_computed(record, model.derivatives, known)
+            record = judged_together(record, model.derivatives, {*known})
             record = with_states(model, record)
         return replace(recording, record=record, steps=(*recording.steps, *steps, *found))
 
