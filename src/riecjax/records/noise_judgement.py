@@ -70,10 +70,8 @@ LEVELLED = 2.0
 """Times the least mean of neighbours that the largest one of a shelf is, at the most."""
 ESTIMATED = 1e-4
 """Share of the energy of an estimated kernel that may be cut off with its ends."""
-CERTAIN, UNSEEN = 3.0, 2.0
-"""Standard errors from which a part of a spectrum is surely there, and up to which it is not."""
-ALIKE = 4.0
-"""Neighbouring frequencies that tell the same."""
+SCATTER = 3.0
+"""Standard deviations by which two levels may differ by chance."""
 INCOHERENT = 0.3
 """Coherence with another signal past which a shelf is of motion. That of noise is one over the
 number of independent segments, 0.06 of 2000 samples."""
@@ -144,35 +142,9 @@ def _near(density: np.ndarray) -> np.ndarray:
     return np.convolve(density, np.ones(CLOSE) / CLOSE, "valid")
 
 
-def beside_motion(of: Spectra) -> Floor | None:
-    """The noise of a signal whose motion fills the band, if it does: none, if none is seen.
-
-    What a random force does to a velocity, in steps from sample to sample, falls off with frequency
-    as 1 / g, g = 4 sin^2(pi f / rate), and is as flat as noise near half the rate; a position, as
-    1 / g^2. The density times g^k is constant, but for noise, which makes a part that rises as g^k.
-    Of two k that may be right, the one that leaves less noise is taken.
-    """
-    upper = slice(of.density.size // 2, -1)
-    place = np.arange(1, of.density.size + 1)[upper] / of.density.size
-    found = []
-    for power in (1, 2):
-        rises = (2 * np.sin(np.pi / 2 * place)) ** (2 * power)
-        flattened = of.density[upper] * rises
-        # A density scatters in proportion to itself, which is about the same all over.
-        columns = np.stack([np.ones_like(rises), rises], axis=1)
-        (motion, noise), left, *_ = np.linalg.lstsq(columns, flattened, rcond=None)
-        # Overlapping segments and a wide window make neighbours alike.
-        variance = ALIKE * left.sum() / rises.size
-        errors = np.sqrt(variance * np.diagonal(np.linalg.inv(columns.T @ columns)))
-        if noise > -UNSEEN * errors[1] and motion > CERTAIN * errors[0]:
-            seen = noise > UNSEEN * errors[1]
-            freedom = 2 * (noise / errors[1]) ** 2 if seen else np.inf
-            found.append(Floor(np.full(1, np.sqrt(noise) if seen else 0.0), np.asarray(freedom)))
-    return min(found, key=lambda one: one.level, default=None)
-
-
-def floor(of: Spectra) -> Floor:
-    """The floor up to half the rate of a signal, else the lowest tenth of its band if any."""
+def floor(of: Spectra, others: Sequence[Spectra] = ()) -> Floor:
+    """The floor up to half the rate of a signal, else the lowest tenth of its band if any, of what
+    the others do not explain."""
     # At half the rate itself there is one degree of freedom, not two.
     near, size, density = _near(of.density), of.density.size, of.density[:-1]
     edge = top = int((1 - TOP) * size)
@@ -188,11 +160,31 @@ def floor(of: Spectra) -> Floor:
     # What still falls at the end, as a position does that a random force moves, has none.
     sooner, later = (np.mean(half) for half in np.array_split(density[top:], 2))
     # The logarithm of a mean square of n degrees of freedom scatters by sqrt(2 / n).
-    by_chance = np.exp(CERTAIN * np.sqrt(4 / max(TOP / 2 * of.freedom, 1.0)))
+    by_chance = np.exp(SCATTER * np.sqrt(4 / max(TOP / 2 * of.freedom, 1.0)))
     if sooner > max(LEVELLED, by_chance) * later:
         return Floor(np.zeros(1), np.asarray(np.inf))
-    least = min(np.mean(tenth) for tenth in np.array_split(density, round(1 / TOP)))
+    tenths = np.array_split(unexplained(of, others)[:-1], round(1 / TOP))
+    least = min(np.mean(tenth) for tenth in tenths)
     return Floor(np.full(1, np.sqrt(least)), np.asarray(TOP * of.freedom), flat=False)
+
+
+def unexplained(of: Spectra, others: Sequence[Spectra]) -> Float[np.ndarray, " frequencies"]:
+    """The density of what no linear filter makes of the other signals.
+
+    White noise is no larger, as noise of sensors has nothing in common. Of n independent segments
+    each of p others explains one by chance. The window is two frequencies wide, so that of each two
+    there are as many as degrees of freedom.
+    """
+    independent = of.freedom / of.density.size
+    if not 0 < len(others) < independent / 2:
+        return of.density
+    columns = np.stack([one.transforms for one in others], axis=-1)
+    products = np.einsum("sfi,sfj->fij", columns.conj(), columns)
+    answers = np.einsum("sfi,sf->fi", columns.conj(), of.transforms)
+    filters = np.einsum("fij,fj->fi", np.linalg.pinv(products, hermitian=True), answers)
+    left = of.transforms - np.einsum("sfi,fi->sf", columns, filters)
+    share = independent / (independent - len(others))
+    return share * np.mean(np.abs(left) ** 2, axis=0)
 
 
 def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
@@ -246,8 +238,6 @@ MOST_NOISE = 0.5
 is sampled too slowly, or for an input that is noise itself."""
 HELD = 0.5
 """Share of samples that are held, or on straight lines, past which a signal is a command."""
-SCATTER = 3.0
-"""Standard deviations by which two levels may differ by chance."""
 
 
 def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
@@ -377,10 +367,15 @@ def _by_values(
     found, own = Floor(level[None], freedom), spectra(values)
     if own is not None:
         elsewhere = (np.where(there, np.asarray(other)[rows], np.nan) for other in others)
-        filtered = shelf(own, map(spectra, elsewhere))
+        beside = [
+            one
+            for one in map(spectra, elsewhere)
+            if one is not None and one.transforms.shape == own.transforms.shape
+        ]
+        filtered = shelf(own, beside)
         if filtered is not None and level < filtered.level < MOST_NOISE * np.std(known):
             return filtered
-        flat = beside_motion(own) or floor(own)
+        flat = floor(own, beside)
         # Spikes and steps raise a spectrum, and not the differences that are usual.
         # The least of ten densities scatters too, and is taken if it is lower for certain.
         scatter = SCATTER / np.sqrt(2 * (freedom if flat.flat else flat.freedom))
