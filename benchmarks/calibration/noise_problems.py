@@ -15,6 +15,7 @@ from jaxtyping import Array, Key
 from tests.machines import DRAG, Signals, drag_oscillator, noisy, slide
 
 import riecjax as rx
+from riecjax.models.quarter_car.reconstruction import quarter_car_source
 from riecjax.paper.published import TABLE_2
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.system import AbstractSystem
@@ -51,6 +52,28 @@ def car_roads(car: str, roads: int) -> list[dict[str, np.ndarray]]:
 def _car_road(key: Key[Array, ""], source: AbstractSystem) -> dict[str, Array]:
     record = car_motion(key, source, TABLE_2.sample_count)
     return {name: record[name] for name in CAR_SENSORS}
+
+
+ACCELERATIONS: tuple[str, ...] = ("dx3", "dx4")
+LIGHTEST, HEAVIEST = 0.7, 1.4
+"""Times the paper's masses."""
+
+
+def hidden_car_roads(roads: int) -> list[dict[str, np.ndarray]]:
+    """As `car_roads`, with accelerations, each of a car with masses of its own."""
+    listed = rx.find_model("quarter-car-source").system.parameters
+    masses = {q.name: q.default for q in listed if q.name in ("M_w", "M_b", "M_e")}
+
+    def road(key: Key[Array, ""], names: Any) -> dict[str, Array]:
+        own, drive = jax.random.split(key)
+        factors = jax.random.uniform(own, (3,), minval=LIGHTEST, maxval=HEAVIEST)
+        car = {name: factor * masses[name] for name, factor in zip(masses, factors)}
+        record = car_motion(drive, quarter_car_source(car), TABLE_2.sample_count)
+        return {name: record[name] for name in (*CAR_SENSORS, *ACCELERATIONS)}
+
+    made = over_keys(road, jax.random.key(56), roads, None, chunk=20)
+    made = {name: np.asarray(values) for name, values in made.items()}
+    return [{name: values[i] for name, values in made.items()} for i in range(roads)]
 
 
 def car_motion(key: Key[Array, ""], source: AbstractSystem, count: int) -> rx.Record:

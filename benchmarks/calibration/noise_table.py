@@ -17,7 +17,7 @@ Document = Mapping[str, Any]
 def tables(document: Document) -> str:
     """In Markdown; a dash stands where nothing was measured."""
     parts = [drag(document, motion) for motion in ("with velocity", "position only")]
-    parts += [quarter_car(document), dry_friction(document)]
+    parts += [quarter_car(document), hidden_cars(document), dry_friction(document)]
     return "\n\n".join(parts)
 
 
@@ -54,6 +54,19 @@ def quarter_car(document: Document) -> str:
     cars = ("paper", "heavier")
     rows = ((c, n) for c in cars for n in _there(document, "quarter-car", c) if n.endswith("%"))
     return _table("Reduced quarter car", head, (row(*one) for one in rows))
+
+
+def hidden_cars(document: Document) -> str:
+    head = ("model, noise", "shift / standard error, judged", "given")
+
+    def row(case: str, level: str) -> list[str]:
+        ways = (f"{level}, judged", f"{level}, given")
+        found = (_at(document, "auto", "hidden-cars", case, way) for way in ways)
+        return [f"{case}, {level}", *(_largest(one, "shift") for one in found)]
+
+    cases = (case for case in _there(document, "hidden-cars") if case not in ("seeds", "seconds"))
+    rows = (row(case, level) for case in cases for level in ("1 %", "5 %", "20 %"))
+    return _table("Cars of random masses with a hidden engine", head, rows)
 
 
 def dry_friction(document: Document) -> str:

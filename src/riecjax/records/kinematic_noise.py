@@ -14,7 +14,7 @@ What differs by more than white noise (a sensor elsewhere, a filter, a drift) fi
 then nothing is said.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,6 +40,8 @@ BY_CHANCE, TOLERATED = 1e-4, 0.1
 be off its fit in any case: noise is never quite white."""
 APART = 0.1
 """Share by which the gains of two sides differ at most."""
+AGREED = 3.0
+"""Standard errors by which two variances may differ by chance."""
 LEAST = 1e-6
 """Share of a spectrum, and of what is best told, that is nothing."""
 GUESSES, ROUNDS = 4, 12
@@ -58,19 +60,36 @@ class Residual(NamedTuple):
     counts: Float[np.ndarray, " bands"]
 
 
+class Variance(NamedTuple):
+    """What is known of the variance of a signal's noise, and the standard error of that."""
+
+    variance: float
+    error: float
+
+
 def variances(
-    record: Record, pairs: Pairs, known: Mapping[str, float], own: Mapping[str, float]
-) -> dict[str, tuple[float, float]]:
-    """The variance of white noise of each signal that relations tell of, and its standard error.
+    record: Record, pairs: Pairs, own: Mapping[str, Variance], given: Collection[str] = ()
+) -> dict[str, Variance]:
+    """The variance of the white noise of each signal that relations tell of.
 
     Not under jit.
 
-    **Arguments:** `pairs` of a signal and its derivative, or relations; `known`, variances that are
-    given; `own`, those that signals by themselves seem to have. These are believed to within their
-    own size, and so decide on what a sum alone tells of several signals.
+    **Arguments:** `pairs` of a signal and its derivative, or relations; `own`, what signals seem to
+    have by themselves, of which some are `given`. The others count as further measurements: to
+    within their errors where relations agree, and to within their own size where these do not or
+    tell a sum alone.
     """
     found = (_residual(record, relation, order) for relation, order in _related(record, pairs))
-    return _fitted([one for one in found if one is not None and _is_noise(one)], known, own)
+    sound = [one for one in found if one is not None and _is_noise(one)]
+    known = {name: own[name].variance for name in given if name in own}
+    believed = {}
+    for name, told in _fitted(sound, known).items():
+        seems, apart = own[name], abs(told.variance - own[name].variance)
+        if seems.variance > 0:
+            agrees = apart <= AGREED * np.hypot(told.error, seems.error)
+            error = max(seems.error, LEAST * seems.variance) if agrees else seems.variance
+            believed[name] = seems._replace(error=error)
+    return _fitted(sound, known, believed)
 
 
 def _related(record: Record, pairs: Pairs) -> Iterator[tuple[Relation, int]]:
@@ -148,8 +167,8 @@ def _residual(record: Record, relation: Relation, order: int) -> Residual | None
             return None
         residual = Residual(power, gains, counts)
         told = _fitted([residual])
-        noise = of_total * sum(c**2 * told[name][0] for name, c in relation.of)
-        weight = 1 / (noise + of_signal * told[relation.signal][0])
+        noise = of_total * sum(c**2 * told[name].variance for name, c in relation.of)
+        weight = 1 / (noise + of_signal * told[relation.signal].variance)
     return residual if abs(times - 1) <= APART and abs(late) <= 1 else None
 
 
@@ -160,7 +179,7 @@ def _is_noise(one: Residual) -> bool:
     and variance 1/(9 n) (Wilson and Hilferty 1931, PNAS 17).
     """
     told = _fitted([one])
-    fit = sum(told[name][0] * gain for name, gain in one.gains.items())
+    fit = sum(told[name].variance * gain for name, gain in one.gains.items())
     scatter = 1 / (9 * one.counts)
     off = np.abs(np.cbrt(one.power / fit) - (1 - scatter)) - TOLERATED / 3
     squares = np.sum(np.maximum(off, 0) ** 2 / scatter)
@@ -168,8 +187,10 @@ def _is_noise(one: Residual) -> bool:
 
 
 def _fitted(
-    residuals: Sequence[Residual], known: Mapping[str, float] = {}, own: Mapping[str, float] = {}
-) -> dict[str, tuple[float, float]]:
+    residuals: Sequence[Residual],
+    known: Mapping[str, float] = {},
+    believed: Mapping[str, Variance] = {},
+) -> dict[str, Variance]:
     """Variances with which white noise has the residuals' spectra, none below zero; see
     [`variances`][].
 
@@ -190,15 +211,15 @@ def _fitted(
     # In units in which each alone would explain it all.
     units = np.array([np.median(power[c > 0] / c[c > 0]) for c in map(columns.get, free)])
     gains = units * np.stack([columns[name] for name in free], axis=1)
-    before = np.array([own.get(name, 0.0) for name in free]) / units
-    believed = np.diag(before)[before > 0] / before[before > 0, None] ** 2
+    measured = np.array([believed.get(name, Variance(0.0, np.inf)) for name in free]).T / units
+    believing, seeming = np.diag(1 / measured[1]), measured[0] / measured[1]
     values, information = np.ones(len(free)), np.eye(len(free))
     for _ in range(ROUNDS):
         weight = roots / (given + gains @ np.maximum(values, LEAST))
         weighed, target = gains * weight[:, None], (power - given) * weight
+        weighed = np.concatenate([weighed, believing])
+        target = np.concatenate([target, seeming])
         information = weighed.T @ weighed
-        weighed = np.concatenate([weighed, believed])
-        target = np.concatenate([target, np.ones(len(believed))])
         values, kept = np.zeros(len(free)), np.ones(len(free), bool)
         while kept.any():
             values[kept] = np.linalg.lstsq(weighed[:, kept], target, rcond=None)[0]
@@ -206,4 +227,6 @@ def _fitted(
                 break
             kept, values = kept & (values > 0), np.zeros(len(free))
     errors = np.sqrt(np.diagonal(np.linalg.pinv(information, rcond=LEAST, hermitian=True)))
-    return {name: (float(v), float(e)) for name, v, e in zip(free, values * units, errors * units)}
+    return {
+        n: Variance(float(v), float(e)) for n, v, e in zip(free, values * units, errors * units)
+    }

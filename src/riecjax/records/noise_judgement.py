@@ -23,7 +23,7 @@ from riecjax import arrays as xp
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf
 from riecjax.records.faults.sampled_signal import levels_of, resolution_of, rounding_of
-from riecjax.records.kinematic_noise import variances
+from riecjax.records.kinematic_noise import Variance, variances
 from riecjax.records.record import Record, deviation, runs
 from riecjax.records.relations import Pairs, relations
 from riecjax.records.signal import (
@@ -278,18 +278,20 @@ def judged_together(record: Record, pairs: Pairs, given: Collection[str] = ()) -
     # What other signals are made of stays as it was when these were.
     made_of = {source for n, kernels in noise.kernels.items() for source in {*kernels} - {n}}
     white = [n for n in one_motion & {*noise.kernels} - made_of if noise[n].is_white_of(n)]
-    own = {name: float(noise.std(name)) ** 2 for name in white if xp.is_concrete(record)}
-    known = {name: own.pop(name) for name in [*own] if name in given}
-    if not own or any(record.arrays[name].ndim > 1 for name in own):
+    if not (white and xp.is_concrete(record)) or record.arrays[white[0]].ndim > 1:
         return record
+    own = {}
+    for name in white:
+        variance = float(noise.std(name)) ** 2
+        freedom = np.inf if name in given else float(noise.freedom.get(name, np.inf))
+        own[name] = Variance(variance, variance * np.sqrt(2 / freedom))
     better = {}
-    told = variances(record.select(*own, *known), pairs, known, own)
-    for name, (variance, error) in told.items():
-        if error < variance:
-            freedom = np.asarray(2 * (variance / error) ** 2)
-            better[name] = SignalNoise({name: np.sqrt([variance])}, {name: freedom})
-        elif own[name] > 0:
-            better[name] = np.sqrt(variance / own[name]) * noise[name]
+    for name, told in variances(record.select(*white), pairs, own, given).items():
+        if 0 < told.error < told.variance:
+            freedom = np.asarray(2 * (told.variance / told.error) ** 2)
+            better[name] = SignalNoise({name: np.sqrt([told.variance])}, {name: freedom})
+        elif own[name].variance > 0:
+            better[name] = np.sqrt(told.variance / own[name].variance) * noise[name]
     return record.with_noise(Noise.of(better))
 
 
@@ -381,6 +383,9 @@ def _by_values(
         scatter = SCATTER / np.sqrt(2 * (freedom if flat.flat else flat.freedom))
         room = 1 + scatter if flat.flat else 1 - scatter
         found = flat if flat.level < level * room else found
+        if not flat.flat:
+            # It is no larger, and by how much smaller nobody knows: sure to within its own size.
+            found = found._replace(freedom=np.asarray(2.0))
     # A converter's rounding, where it is larger.
     quantised = resolution_of(levels_of(known, rounding)[0]) / np.sqrt(12)
     if quantised > found.level:

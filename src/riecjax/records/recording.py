@@ -275,6 +275,9 @@ def _recording(
         ),
     ]
     read_steps = [
+        _rows_read(channels),
+        *channels.notes,
+        *selected.notes,
         *(f"{name}: column scaled by {by:g}" for name, by in settings.scale.items()),
         *(
             f"{n}: {old} to {selected.record.signal(n).unit}"
@@ -282,15 +285,17 @@ def _recording(
         ),
         *(f"resampled to {hertz:g} Hz" for hertz in filter(None, [settings.resample])),
         *(f"{name}: {formula}" for name, formula in settings.derive.items()),
+        *_gaps(selected.record),
+        *(*first_steps, *found, *aligned.words, *last_steps),
     ]
+    if record.sample_count != selected.record.sample_count:
+        kept = f"{record.sample_count} of {selected.record.sample_count} samples"
+        read_steps.append(f"{kept} left, from {record.elapsed[0]:.6g} s on")
     used = {*read, *TIME_COLUMNS, *settings.rename.values(), *channels.time_of.values()}
     return Recording(
         record,
         str(path),
-        (
-            *(*channels.notes, *selected.notes, *read_steps),
-            *(*first_steps, *found, *aligned.words, *last_steps),
-        ),
+        (*read_steps,),
         tuple(f._replace(message=f"{file}: {f.message}") for f in findings),
         {c: why for c, why in left_out.items() if not used & {c, split_unit(c)[0]}},
         settings.rename,
@@ -299,6 +304,23 @@ def _recording(
         tuple(n for n in record.arrays if n not in read or n in settings.derive),
         () if aligned.words or last_steps else aligned.holding,
     )
+
+
+def _rows_read(channels: Channels) -> str:
+    """How much a file holds, in words."""
+    sizes = sorted({values.size for values in channels.columns.values()})
+    rows = " to ".join(map(str, dict.fromkeys((sizes[0], sizes[-1]))))
+    return f"{rows} rows of {len(channels.columns)} columns of numbers read"
+
+
+def _gaps(record: Record) -> Iterator[str]:
+    """How many samples signals lack, in words; those that lack as many together."""
+    lacking: dict[int, list[str]] = {}
+    for name, signal in record.by_name.items():
+        if signal.present is not None:
+            lacking.setdefault(int(np.sum(~np.asarray(signal.present))), []).append(name)
+    for count, names in lacking.items():
+        yield f"{listed(names)}: {count} sample{'s' * (count > 1)} missing"
 
 
 def _why_absent(left_out: Mapping[str, str], signal: str) -> str:
