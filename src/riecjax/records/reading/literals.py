@@ -130,8 +130,8 @@ PATTERNS = (
     # ISO 8601 (also compact), or as spreadsheets and MATLAB write it; or a time of day, or an
     # elapsed one, alone.
     *(
-        rf"^(?:[A-Z][a-z]{{2}},? )?{date}[T ,]*{clock}\s*(?:(?:(?P<am>[Aa])|(?P<pm>[Pp]))\.?[Mm]\.?)?"
-        rf"\s*{_ZONE}?(?:\[[^\]]*\])?$"
+        rf"^(?:[A-Z][a-z]{{2}},? )?{date}[T ,]*{clock}"
+        rf"\s*(?:(?:(?P<am>[Aa])|(?P<pm>[Pp]))\.?[Mm]\.?)?\s*{_ZONE}?(?:\[[^\]]*\])?$"
         for date, clock in itertools.product(_DATES, _TIMES_OF_DAY)
     ),
     # Minutes, seconds and their fraction, all that a spreadsheet's `mm:ss.0` shows of a time.
@@ -159,6 +159,11 @@ def kinds_of(fields: list[str], decimal: str) -> str:
         else "T"
         for field in fields
     )  # fmt: skip
+
+
+def is_grouped(field: str) -> bool:
+    """Whether the commas in a number can be signs between thousands."""
+    return bool(re.fullmatch(GROUPED["."], field))
 
 
 def are_stamps(text: Any) -> Any:
