@@ -38,11 +38,7 @@ from riecjax.records.reading.units import (
 OTHER_FORMATS = {
     b"PK\x03\x04": "an Excel workbook or another zip archive",
     b"\x1f\x8b": "packed by gzip",
-    b"\xd0\xcf\x11\xe0": "a workbook of Excel before 2007 (.xls)",
     b"\x89HDF": "an HDF5 file",
-    b"MATLAB": "a MATLAB file",
-    b"TDSm": "a TDMS file",
-    b"PAR1": "a Parquet file",
 }
 """What a file that begins so is, whatever its name."""
 
@@ -61,10 +57,7 @@ def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
             raise DataError(f"it is {kind}, whatever its name says; unpack, rename or export it.")
     notes: list[str] = []
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        try:
-            content = content.decode("utf-16").encode()
-        except UnicodeError:
-            raise DataError("not a text file in UTF-16; it is damaged.") from None
+        content = content.decode("utf-16", "replace").encode()
         notes.append("read as UTF-16")
     whole = content.rstrip(b"\0")
     if 0 < len(whole) < len(content):
@@ -347,47 +340,40 @@ def _header(
 ) -> tuple[int, list[str], list[str], int]:
     """Line of the names, -1 for none; names and units by position; the line where data begins."""
     preceding = [place for place in reversed(rows) if place < first]
-    width = len(pattern)
-    filled = {place: len(_without_empty_end(rows[place])) for place in preceding}
     kinds = {place: kinds_of(rows[place], dialect.decimal) for place in preceding}
+    width = len(pattern)
     # A word alone, such as DATA or [data], heads a table and names no column of several.
     while (
         width > 1
         and len(preceding) > 1
-        and filled[preceding[0]] == 1
-        and kinds[preceding[0]][0] == "T"
+        and kinds[preceding[0]].rstrip("M") == "T"
         and not is_known(bare_unit(rows[preceding[0]][0]))
     ):
         del rows[preceding.pop(0)]
 
     def is_as_wide(place: int) -> bool:
         # A delimiter at the end of a row makes no column.
-        return width in (filled[place], len(rows[place])) or {*pattern[filled[place] :]} == {"M"}
+        filled = len(kinds[place].rstrip("M"))
+        return width in (filled, len(kinds[place])) or {*pattern[filled:]} == {"M"}
 
-    above = [*itertools.takewhile(is_as_wide, preceding)]
     # Where no row above is as wide, the last one tells how many names there are instead.
-    above = above or preceding[:1]
-    # A row that is partly numbers below a row of names, or begins with one, is data that went
-    # wrong, not a header.
-    fallback = [place for place in above if "T" in kinds[place] and kinds[place][0] not in "NS"]
-    texts = [place for place in fallback if not set(kinds[place]) & {"N", "S"}]
-    if not fallback:
+    above = [*itertools.takewhile(is_as_wide, preceding)] or preceding[:1]
+    units = [place for place in above if _is_unit_row(rows[place])]
+    # A row that begins with a number is data that went wrong, not a header.
+    said = [p for p in above if p in units or ("T" in kinds[p] and kinds[p][0] not in "NS")]
+    # So is one that is partly numbers below a row of names.
+    texts = [place for place in said if not {*kinds[place]} & {*"NS"}]
+    if not said:
         return -1, [], [], first
     # Below a row of units there may be one of sensors, or of how values were taken.
-    if len(texts) > 2 and [_is_unit_row(rows[place]) for place in texts[:2]] == [False, True]:
-        above = [place for place in above if place < texts[0]]
-        del rows[texts.pop(0)]
-    named = stated = (texts or fallback)[0]
-    below = [place for place in above if place > named]
-    # Above units, names may be numbers, as of channels 1 and 2.
-    upper = next((place for place in fallback if place < named), None)
-    units: list[str] = []
-    if below and _is_unit_row(rows[below[-1]]):
-        stated, units = below[-1], rows[below[-1]]
-    elif upper is not None and len(rows[upper]) == len(rows[named]) and _is_unit_row(rows[named]):
-        named, units = upper, rows[named]
-    start = min(place for place in rows if place > stated)
-    return named, rows[named], list(map(bare_unit, units)), start
+    unit = next((place for place in said[:2] if place in units and place != said[-1]), None)
+    if unit is None:
+        named = stated = (texts or said)[0]
+        stated_units = []
+    else:
+        named, stated = said[said.index(unit) + 1], max(unit, *texts[:1])
+        stated_units = [bare_unit(text) for text in rows[unit]]
+    return named, rows[named], stated_units, min(place for place in rows if place > stated)
 
 
 def _is_unit_row(fields: list[str]) -> bool:
