@@ -43,12 +43,17 @@ OTHER_FORMATS = {
 """What a file that begins so is, whatever its name."""
 
 
+HEAD = 2**12
+"""Bytes at the start of a file in which quoted names with line breaks are looked for."""
+_BROKEN = re.compile(rb'(?m)(?:^|(?<=[,;\t]))"[^"]*\n[^"]*"(?=[,;\t]|$)')
+
+
 def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
     """A text file's content in UTF-8 with lines ended by `\\n`, and what was decided.
 
     UTF-8, and UTF-16 with a mark, are recognised; any other text is taken as Latin-1, which differs
-    from other 8-bit encodings in names but not in numbers. The sign of minus becomes a hyphen; what
-    has no width goes.
+    from other 8-bit encodings in names but not in numbers. A sign of minus becomes a hyphen, a line
+    break within a quoted name a blank; what has no width goes.
 
     **Raises:** `DataError` for a binary file.
     """
@@ -78,51 +83,12 @@ def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
         content = text.encode()
     if b"\r" in content:
         content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    return content, notes
-
-
-HEAD = 2**12
-"""Bytes at the start of a file that tell what stands around its numbers."""
-FEWEST_MEASURED = 5
-"""Rows on which it is decided that units stand behind numbers."""
-_GROUPED = re.compile(
-    rb"(?<![\d.,])(\d{1,3})('|\xe2\x80\x99|\xe2\x80\xaf|\xc2\xa0|\xc2\x92)(\d{3}(?:\2\d{3})*)(?!\d)"
-)
-_MEASURED = re.compile(r"[+-]?[\d.,]*\d(?:[eE][+-]?\d+)? ?(?P<unit>[^\s\d,;.+-][^,;\t]*)")
-_BROKEN = re.compile(rb'(?m)(?:^|(?<=[,;\t]))"[^"]*\n[^"]*"(?=[,;\t]|$)')
-
-
-def plain_rows(content: bytes) -> tuple[bytes, list[str], list[str]]:
-    """A text without what stands around its numbers, what was taken off, and units behind numbers.
-
-    Breaks within quoted names; units behind numbers that are the same in all rows, as of MATLAB's
-    durations (`0.5 sec`); apostrophes and blanks that do not break, between thousands (`1'234.5`).
-
-    **Returns:** the units by position.
-    """
-    notes: list[str] = []
     head = content[:HEAD]
-    if b'"' in head:
-        joined = _BROKEN.sub(lambda cell: cell[0].replace(b"\n", b" "), head)
-        if lost := head.count(b"\n") - joined.count(b"\n"):
-            # Later lines keep their numbers.
-            content = b"\n" * lost + joined + content[HEAD:]
-    if b"'" in content or not content.isascii():
-        content, count = _GROUPED.subn(lambda match: match[0].replace(match[2], b""), content)
-        notes += ["signs between thousands removed"] if count else []
-    lines = content[: 4 * HEAD].decode(errors="replace").split("\n")[:-1]
-    rows = [line for line in lines if line.strip()][-FEWEST_MEASURED:]
-    sign = next((sign for sign in ";\t," if all(sign in row for row in rows)), "")
-    if len(rows) < FEWEST_MEASURED or not sign:
-        return content, notes, []
-    found = [[_MEASURED.fullmatch(field.strip()) for field in row.split(sign)] for row in rows]
-    said = [[match["unit"] if match else "" for match in row] for row in found]
-    units = [unit if is_known(unit) else "" for unit in said[0]]
-    if any(row != said[0] for row in said) or not any(units):
-        return content, notes, []
-    behind = b"|".join(re.escape(unit.encode()) for unit in {*units} - {""})
-    pattern = rb"(?m)(?<=[\d.]) ?(?:" + behind + rb")(?=[ ]*(?:" + sign.encode() + rb"|$))"
-    return re.sub(pattern, b"", content), notes, units
+    joined = _BROKEN.sub(lambda name: name[0].replace(b"\n", b" "), head)
+    if lost := head.count(b"\n") - joined.count(b"\n"):
+        # Later lines keep their numbers.
+        content = b"\n" * lost + joined + content[HEAD:]
+    return content, notes
 
 
 NAMES = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "white space"}
@@ -271,7 +237,7 @@ def layout(
             f"line {commas[0][0] + 1}: {commas[0][1]!r} is one number with a decimal comma, or two"
             " columns; pass decimal=',' or delimiter=','."
         )
-    if commas and all(literals.is_grouped(field) for _, field in commas):
+    if commas and all(re.fullmatch(literals.GROUPED["."], field) for _, field in commas):
         raise DataError(
             f"line {commas[0][0] + 1}: {commas[0][1]!r} has a decimal comma or commas between"
             " thousands; pass decimal=',' or decimal='.'."
@@ -525,9 +491,8 @@ def read_delimited(
     length, and for files that are not text or have no samples.
     """
     content, notes = as_utf8(file.read_bytes())
-    content, taken_off, units = plain_rows(content)
-    table = read_table(content, delimiter, decimal, columns, units)
-    return replace(table, notes=notes + taken_off + table.notes)
+    table = read_table(content, delimiter, decimal, columns)
+    return replace(table, notes=notes + table.notes)
 
 
 def read_table(
@@ -535,12 +500,8 @@ def read_table(
     delimiter: str | None,
     decimal: str | None,
     columns: Sequence[str] = (),
-    units: Sequence[str] = (),
 ) -> Channels:
-    """Read a table in text, in UTF-8 with lines ended by `\\n`; see [`read_delimited`][].
-
-    **Arguments:** `units` by position, where the table has no row of them.
-    """
+    """Read a table in text, in UTF-8 with lines ended by `\\n`; see [`read_delimited`][]."""
     stream = io.BytesIO(content)
     head = [*stream.readlines(SAMPLE), *itertools.islice(stream, FEWEST_LINES)][:MOST_LINES]
     if max(map(len, head), default=0) > LONGEST_LINE:
@@ -571,10 +532,9 @@ def read_table(
         table = table_of(content, head, found)
         read = _columns(table, decimal is not None, surely=True)
     stated = {}
-    for name, unit in itertools.zip_longest(_names(found), found.units or units, fillvalue=""):
-        other = split_unit(name)[1] or ""
-        said = f"{other} or {unit}" if contradict(other, unit) else unit or other
-        stated |= {name: said} if said and name in read.columns else {}
+    for name, unit in itertools.zip_longest(_names(found), found.units, fillvalue=""):
+        if name in read.columns and (unit := _with_unit_of(name, unit)):
+            stated[name] = unit
     sign, header = found.dialect.delimiter, found.header
     above = sum(bool(line.strip()) for line in lines[: found.start if header < 0 else header])
     what = "numbers" if header < 0 else "column names"
@@ -592,6 +552,12 @@ def read_table(
     whole = replace(read, units=stated | read.units, notes=notes)
     whole.note_left_out("column")
     return whole
+
+
+def _with_unit_of(name: str, unit: str) -> str:
+    """A unit; or, where a name says another, both."""
+    stated = split_unit(name)[1] or ""
+    return f"{stated} or {unit}" if contradict(stated, unit) else unit or stated
 
 
 def _names(found: Layout) -> list[str]:
@@ -639,6 +605,10 @@ def _columns(table: Table, decimal_given: bool, surely: bool) -> Channels:
             found.take(name, values)
             continue
         text = literals.stripped(text)
+        values, unit = literals.measured(text, *how)
+        if values is not None:
+            found.take(name, values, _with_unit_of(name, unit))
+            continue
         stamps, numeric = literals.are_stamps(text), literals.is_numeric(text, *how)
         if literals.all_true(stamps):
             first = next((stamp.as_py() for stamp in text if stamp.is_valid), "the first")

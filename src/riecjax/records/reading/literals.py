@@ -12,7 +12,7 @@ import pyarrow.compute
 
 from riecjax.errors import DataError
 from riecjax.records.reading.times import unwrapped
-from riecjax.records.reading.units import DAY, HOUR, MINUTE
+from riecjax.records.reading.units import DAY, HOUR, MINUTE, is_known
 
 MISSING = ("", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "<NA>", "null", "NULL", "Null",
            "None", "none", "-nan", "nan(ind)", "-nan(ind)", "NaT", "missing", "NO DATA", "No Data",
@@ -22,27 +22,30 @@ MISSING = ("", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "<NA>", "null", "N
 NO_RESULT = r"#(?:N/A|DIV/0!|VALUE!|NUM!|REF!|NAME\?|NULL!)"
 """What spreadsheets write for the value of a formula that has none."""
 _EXPONENT = r"(?:[eEdD][+-]?\d+)?"
-_INFINITE = r"[+-]?(?:[iI]nf(?:inity)?|INF)"
-# Thousands and a fraction: either sign can be only what it is.
-_POINTED = r"[+-]?[1-9]\d{0,2}(?:,\d{2,3})*,\d{3}\.\d+"
-_COMMAED = r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+,\d+"
+_BETWEEN = "['\N{RIGHT SINGLE QUOTATION MARK}\N{NARROW NO-BREAK SPACE}\xa0\x92]"
+"""What separates thousands, and nothing else."""
+# With a fraction the other sign can be only what separates thousands.
 NUMBER = {
-    ".": rf"^(?:[+-]?(?:\d+\.?\d*|\.\d+){_EXPONENT}|{_POINTED}|{_INFINITE})$",
-    # Digits on both sides: a comma at the end of a field is a delimiter.
-    ",": rf"^(?:[+-]?\d+(?:,\d+)?{_EXPONENT}|{_COMMAED}|{_INFINITE})$",
+    sign: rf"^(?:[+-]?(?:\d+\{sign}?\d*|\{sign}\d+){_EXPONENT}"
+    rf"|[+-]?\d{{1,3}}(?:{_BETWEEN}\d{{3}})+(?:\{sign}\d+)?"
+    rf"|[+-]?[1-9]\d{{0,2}}(?:\{other}\d{{2,3}})*\{other}\d{{3}}\{sign}\d+"
+    r"|[+-]?(?:[iI]nf(?:inity)?|INF))$"
+    for sign, other in (".,", ",.")
 }
 """A number by its decimal sign."""
 GROUPED = {
-    ".": r"^[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?$",
-    ",": r"^[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d*)?$",
+    sign: rf"^[+-]?[1-9]\d{{0,2}}(?:\{other}\d{{3}})+(?:\{sign}\d*)?$"
+    for sign, other in (".,", ",.")
 }
 """A number with its digits grouped in thousands, by its decimal sign."""
+_MEASURED = r"^(?P<number>[+-]?[\d.,]*\d(?:[eE][+-]?\d+)?) ?(?P<unit>[^\s\d,;.+-][^,;\t]*)$"
+"""A number and its unit."""
 _NOTHING = (
     rf"^(?:{'|'.join(map(re.escape, MISSING))}"
     rf"|-+|\*+|[+-]?1\.#(?:QNAN|SNAN|IND|INF)0*|{NO_RESULT}|#+)$"
 )
 _NUMBER = {sign: re.compile(pattern) for sign, pattern in NUMBER.items()}
-_MISSING = re.compile(_NOTHING)
+_MISSING, _WITH_UNIT = re.compile(_NOTHING), re.compile(_MEASURED)
 
 
 compute: Any = pyarrow.compute
@@ -70,9 +73,22 @@ def numbers(text: Any, decimal: str, grouped: bool) -> np.ndarray | None:
         return None
     # What is a number but not to PyArrow: thousands, a plus sign, Fortran's exponents.
     other = "," if decimal == "." else "."
-    for pattern, sign in ((rf"\{other}|^\+", ""), (",", "."), ("[dD]", "e")):
+    for pattern, sign in ((rf"\{other}|{_BETWEEN}|^\+", ""), (",", "."), ("[dD]", "e")):
         text = compute.replace_substring_regex(text, pattern, sign)
     return _cast(text)
+
+
+def measured(text: Any, decimal: str, grouped: bool) -> tuple[np.ndarray | None, str]:
+    """A column of stripped strings as floats, and the one unit behind all of them.
+
+    `None` if some are no numbers, or have another unit, or it is none.
+    """
+    found = compute.extract_regex(text, _MEASURED)
+    number, behind = found.flatten()
+    units = compute.unique(compute.drop_null(behind)).to_pylist()
+    if found.null_count > text.null_count or len(units) != 1 or not is_known(units[0]):
+        return None, ""
+    return numbers(number, decimal, grouped), units[0]
 
 
 def is_numeric(text: Any, decimal: str, grouped: bool) -> Any:
@@ -146,6 +162,11 @@ _ANY = re.sub(r"\?P<\w+>", "", "|".join(PATTERNS))
 _STAMP = re.compile(_ANY)
 
 
+def _has_unit(field: str, decimal: str) -> bool:
+    found = _WITH_UNIT.fullmatch(field)
+    return bool(found and _NUMBER[decimal].fullmatch(found["number"]) and is_known(found["unit"]))
+
+
 def kinds_of(fields: list[str], decimal: str) -> str:
     """What fields hold, a letter for each: `M`, nothing; `N`, a number; `S`, a time stamp; `D`, a
     number of the other decimal sign, which names no column; `T`, any other text."""
@@ -153,17 +174,12 @@ def kinds_of(fields: list[str], decimal: str) -> str:
     # A number of 6 or 14 digits is a number.
     return "".join(
         "M" if _MISSING.fullmatch(field)
-        else "N" if _NUMBER[decimal].fullmatch(field)
+        else "N" if _NUMBER[decimal].fullmatch(field) or _has_unit(field, decimal)
         else "S" if _STAMP.fullmatch(field)
         else "D" if _NUMBER[other].fullmatch(field)
         else "T"
         for field in fields
     )  # fmt: skip
-
-
-def is_grouped(field: str) -> bool:
-    """Whether the commas in a number can be signs between thousands."""
-    return bool(re.fullmatch(GROUPED["."], field))
 
 
 def are_stamps(text: Any) -> Any:
