@@ -124,7 +124,7 @@ def numpy_savetxt(file: Path, c: Texts) -> None:
     save(file, "# t x u", *lines(*c.values(), sep=" "))
 
 
-@table(suffix=".txt", refused="'[' stands before the numbers; take brackets and labels off")
+@table(suffix=".txt", refused="Take off brackets and labels, name delimiter")
 def table_in_brackets(file: Path, c: Texts) -> None:
     """A script's print of a list of lists: brackets around the table and each row."""
     rows = [f"[{row}]," for row in lines(*c.values(), sep=", ")]

@@ -10,7 +10,6 @@ import pytest
 from riecjax.doubts.reading import read_record
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import read_channels
-from riecjax.records.reading.delimited import LONGEST_LINE
 
 LONG = 900
 """Rows of a file much longer than what its dialect is decided on."""
@@ -85,8 +84,8 @@ def test_columns_without_names_have_numbers_or_those_given(tmp_path, case):
 
 LONG_ROWS = [f"{i / 8},{i},{2 * i}" for i in range(60)]
 ODD = {
-    "rows in brackets": (["[" + row + "]" for row in LONG_ROWS], r"line 1: '\[' stands before"),
-    "a MATLAB matrix": (["x = [", *LONG_ROWS, "];"], r"line 1: 'x = \[' stands before"),
+    "rows in brackets": (["[" + row + "]" for row in LONG_ROWS], "Take off brackets and labels"),
+    "a MATLAB matrix": (["x = [", *LONG_ROWS, "];"], "1 column names but 3 .*--columns"),
     "a heading again": (["t,a,b", *LONG_ROWS, "t,a,b", *LONG_ROWS], "line 62: 't' is not a number"),
     "means below": (["t,a,b", *LONG_ROWS, "Mean,1,2"], "line 62: 'Mean' is not a number; take off"),
     "a word among": (
@@ -235,7 +234,7 @@ ERRORS = {
     "binary": (bytes(range(256)) * 20, "not a text file"),
     "null byte": (b"t,x\n0,\x00\n1,2\n", "not a text file"),
     "comma twice": ("t,x\n0,0,1,5\n0,5,2,5\n", "2 column names but 4 columns"),
-    "long line": (b"t,x\n" + b"1" * (LONGEST_LINE + 9), "no table of numbers"),
+    "long line": (b"t,x\n" + b"1" * 2**23, "no line holds numbers"),
     "no mark": ("t,x\n0,1\n1,2\n".encode("utf-16-le"), "save text as UTF-8"),
     "quoted rows": ('"0,1"\n"1,2"\n"2,3"\n', "pass decimal=',' or delimiter"),
     "million columns": ("a," * 10**6 + "b\n" + "1," * 10**6 + "1\n", "at most 10000 are read"),
@@ -272,7 +271,7 @@ def test_one_clear_decimal_comma_settles_the_others(tmp_path, proof):
 
 def test_one_column_with_commas_may_be_two(tmp_path):
     text = "x\n1,5\n2,25\n3,125\n"
-    assert "one number with a decimal comma, or two columns" in message(tmp_path, text)
+    assert "'1,5' has a decimal comma, or two columns" in message(tmp_path, text)
     assert values(tmp_path, text, decimal=",")["x"] == [1.5, 2.25, 3.125]
     assert "1 column names but 2" in message(tmp_path, text, delimiter=",")
 

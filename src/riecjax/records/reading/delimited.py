@@ -23,6 +23,7 @@ from riecjax.records.reading.channels import (
     NUMBERED,
     Channels,
     check_declared,
+    first_sentence,
 )
 from riecjax.records.reading.literals import compute, kinds_of
 from riecjax.records.reading.times import is_called_time
@@ -94,11 +95,8 @@ def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
 NAMES = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "white space"}
 SIGNS = tuple(NAMES)[:-1]
 """Delimiters in order of preference; a blank, the last one, stands for any white space."""
-REMARKS = frozenset(("comment", "comments", "remark", "remarks", "kommentar", "bemerkung"))
+REMARKS = ("comment", "comments", "remark", "remarks", "kommentar", "bemerkung")
 """Columns that hold words, if anything."""
-PLACES = ("TS", "RN")
-"""What Campbell's TOA5 writes for the unit of a time stamp, and of a record's number."""
-_FRAMED = re.compile(r"\s*(?:\w+\s*=\s*)?[\[({]+(?=[\s\d.,;+\-\"]|$)")
 
 
 class Dialect(NamedTuple):
@@ -125,9 +123,6 @@ class Dialect(NamedTuple):
             return [field.strip() for field in line.split(self.delimiter)]
         fields = next(csv.reader([line], delimiter=self.delimiter), [])
         return [field.strip().strip('"').strip() for field in fields]
-
-    def __str__(self) -> str:
-        return f"delimiter {NAMES.get(self.delimiter, self.delimiter)}, decimal {self.decimal!r}"
 
 
 class Layout(NamedTuple):
@@ -183,15 +178,15 @@ def layout(
         if sign != mark or '"' in text:
             table = _layout(lines, Dialect(mark, sign))
             # One column only where its name holds no delimiter: else the file has more columns.
-            alone = table and table.width == 1 and not delimiter and table.header >= 0
-            if table and not (alone and any(d in lines[table.header] for d in SIGNS)):
+            sure = delimiter or table is None or table.width > 1 or table.header < 0
+            if table and (sure or not any(d in lines[table.header] for d in SIGNS)):
                 layouts.append(table)
     if not layouts:
         filled = [place for place, line in enumerate(lines) if line.strip()]
-        if not filled:
-            raise DataError("the file is empty; the first row must name the columns.")
-        if len(filled) == 1:
-            raise DataError("there are no samples below the column names.")
+        if len(filled) < 2:
+            raise DataError(
+                "there are no samples below the column names; the first row must name the columns."
+            )
         place = filled[len(filled) // 2]
         raise DataError(
             f"no line holds numbers between delimiters; line {place + 1} is {lines[place][:60]!r}."
@@ -206,15 +201,9 @@ def layout(
         # Behind a delimiter at the end of each row there may be an empty column.
         names = list(columns) or [NUMBERED.format(place + 1) for place in range(width)]
         best = best._replace(names=names + [""] * (width - len(names)))
-    for place in [best.start] if best.named else [best.header, best.start]:
-        if framed := _FRAMED.match(lines[place]):
-            raise DataError(
-                f"line {place + 1}: {framed[0].strip()!r} stands before the numbers; take brackets"
-                " and labels off the rows."
-            )
     if not best.named:
         raise DataError(
-            f"{len(best.names)} column names but {width} columns of numbers ({dialect}; line"
+            f"{len(best.names)} column names but {width} columns of numbers (line"
             f" {best.start + 1}). Name all columns (on the command line: --columns A,B,...). If"
             " commas are decimal signs too, export the file with another delimiter."
         )
@@ -232,15 +221,13 @@ def layout(
         for field, letter in zip(dialect.fields(lines[place]), kind, strict=True)
         if place >= best.start and letter == "N" and "," in field
     ]
-    if commas and width == 1 and not delimiter:
+    alone = width == 1 and not delimiter
+    if commas and (alone or all(re.fullmatch(literals.GROUPED["."], f) for _, f in commas)):
+        place, field = commas[0]
+        others = "two columns" if alone else "commas between thousands"
         raise DataError(
-            f"line {commas[0][0] + 1}: {commas[0][1]!r} is one number with a decimal comma, or two"
-            " columns; pass decimal=',' or delimiter=','."
-        )
-    if commas and all(re.fullmatch(literals.GROUPED["."], field) for _, field in commas):
-        raise DataError(
-            f"line {commas[0][0] + 1}: {commas[0][1]!r} has a decimal comma or commas between"
-            " thousands; pass decimal=',' or decimal='.'."
+            f"line {place + 1}: {field!r} has a decimal comma, or {others}; pass decimal=',' or"
+            f" {'delimiter=' if alone else 'decimal='}'{',' if alone else '.'}'."
         )
     return best
 
@@ -252,7 +239,9 @@ def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
         if line.strip() and not dialect.comment(line)
     }
     kinds = {place: kinds_of(fields, dialect.decimal) for place, fields in rows.items()}
-    usual = Counter(kind for kind in kinds.values() if "N" in kind or "S" in kind)
+    numeric = {place: kind for place, kind in kinds.items() if {*kind} & {*"NS"}}
+    # Brackets and labels are to be taken off.
+    usual = Counter(k for place, k in numeric.items() if lines[place].lstrip()[0] not in "[({")
     if not usual:
         return None
     # The usual row is data; of equally usual ones the one with fewest texts.
@@ -344,8 +333,9 @@ def _header(
 
 def _is_unit_row(fields: list[str]) -> bool:
     """Whether all fields are units, or most of them below one of time, which no name is."""
-    # In brackets anything is a unit, and no name.
-    known = [f in ("", *PLACES) or is_known(f) or BRACKETS.fullmatch(f) for f in fields]
+    # In brackets anything is a unit, and no name; Campbell's TOA5 has TS and RN for those of a time
+    # stamp and of a record's number.
+    known = [f in ("", "TS", "RN") or is_known(f) or BRACKETS.fullmatch(f) for f in fields]
     timed = bare_unit(fields[0]).lower() in SECONDS and sum(map(bool, known)) > len(fields) / 2
     return any(fields) and (all(known) or timed)
 
@@ -390,12 +380,8 @@ class Table(NamedTuple):
     layout: Layout
     comments: int
 
-    def line_of(self, row: int) -> int:
-        """The line, counted from 1 as in an editor, of a row counted from 0."""
-        return next(line for place, (line, _) in enumerate(self.rows()) if place == row)
-
     def rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Line number and fields of each row that is not blank; slow, for messages only."""
+        """Line, from 1, and fields of each row that is not blank; slow, for messages only."""
         text = io.StringIO(self.content[self.place :].decode(), newline="\n")
         reader = csv.reader(text, delimiter=self.layout.dialect.delimiter)
         for fields in reader:
@@ -412,8 +398,9 @@ class Table(NamedTuple):
         rows = self.content[self.place :].split(b"\n") if is_quoted else []
         texts = {str(place): pa.string() for place in range(width)}
         numbers = {k: pa.float64() for k, kind in zip(texts, self.layout.pattern) if kind in "NM"}
+        failed = "quotes in it go on over line ends."
         for types in (texts | numbers, texts):
-            with contextlib.suppress(pa.ArrowInvalid):
+            try:
                 table = pa_csv.read_csv(
                     pa.BufferReader(pa.py_buffer(self.content).slice(self.place)),
                     # Blocks that hold the longest line are also fast.
@@ -431,6 +418,9 @@ class Table(NamedTuple):
                         decimal_point=decimal,
                     ),
                 )
+            except pa.ArrowInvalid as error:
+                failed = first_sentence(error)
+            else:
                 if table.num_rows >= sum(map(bool, rows)):
                     return table
         with contextlib.suppress(csv.Error):
@@ -447,7 +437,7 @@ class Table(NamedTuple):
                         " line, correct it, or name the delimiter (on the command line:"
                         " --delimiter).",
                     )
-        raise DataError("its rows cannot be parsed; take off the quotes in them.")
+        raise DataError(failed)
 
 
 def table_of(content: bytes, head: list[bytes], found: Layout) -> Table:
@@ -504,10 +494,6 @@ def read_table(
     """Read a table in text, in UTF-8 with lines ended by `\\n`; see [`read_delimited`][]."""
     stream = io.BytesIO(content)
     head = [*stream.readlines(SAMPLE), *itertools.islice(stream, FEWEST_LINES)][:MOST_LINES]
-    if max(map(len, head), default=0) > LONGEST_LINE:
-        raise DataError(
-            f"a line has more than {LONGEST_LINE} characters; the file is no table of numbers."
-        )
     lines = [line.rstrip(b"\n").decode(errors="replace") for line in head]
     found, notes = layout(lines, delimiter, decimal, columns), []
     check_declared(found.width)
@@ -531,10 +517,6 @@ def read_table(
             raise
         table = table_of(content, head, found)
         read = _columns(table, decimal is not None, surely=True)
-    stated = {}
-    for name, unit in itertools.zip_longest(_names(found), found.units, fillvalue=""):
-        if name in read.columns and (unit := _with_unit_of(name, unit)):
-            stated[name] = unit
     sign, header = found.dialect.delimiter, found.header
     above = sum(bool(line.strip()) for line in lines[: found.start if header < 0 else header])
     what = "numbers" if header < 0 else "column names"
@@ -549,15 +531,9 @@ def read_table(
         "columns of one name are numbered": {*_names(found)} - {"", *found.names},
     }
     notes = [*(note for note, holds in decided.items() if holds), *read.notes, *notes]
-    whole = replace(read, units=stated | read.units, notes=notes)
+    whole = replace(read, notes=notes)
     whole.note_left_out("column")
     return whole
-
-
-def _with_unit_of(name: str, unit: str) -> str:
-    """A unit; or, where a name says another, both."""
-    stated = split_unit(name)[1] or ""
-    return f"{stated} or {unit}" if contradict(stated, unit) else unit or stated
 
 
 def _names(found: Layout) -> list[str]:
@@ -594,21 +570,19 @@ def _columns(table: Table, decimal_given: bool, surely: bool) -> Channels:
     if not parsed.num_rows:
         raise DataError("there are no samples below the column names.")
     names, how = _names(table.layout), (table.layout.dialect.decimal, decimal_given)
-    for name, kind, text in zip(names, table.layout.pattern, parsed.columns, strict=True):
-        is_read = text.type == pa.float64()
-        values = literals.floats(text) if is_read else literals.numbers(text, *how)
+    units = itertools.chain(table.layout.units, itertools.repeat(""))
+    for name, unit, kind, text in zip(names, units, table.layout.pattern, parsed.columns):
+        values, behind = literals.measured(text, *how)
         if not name and (values is None or not np.isnan(values).all()):
-            raise DataError(f"{len(table.layout.names)} columns of numbers, some without a name.")
+            raise DataError("there are columns of numbers without a name.")
         if not name:
             continue
         if values is not None:
-            found.take(name, values)
+            stated, unit = split_unit(name)[1] or "", behind or unit
+            both = f"{stated} or {unit}" if contradict(stated, unit) else unit or stated
+            found.take(name, values, both)
             continue
         text = literals.stripped(text)
-        values, unit = literals.measured(text, *how)
-        if values is not None:
-            found.take(name, values, _with_unit_of(name, unit))
-            continue
         stamps, numeric = literals.are_stamps(text), literals.is_numeric(text, *how)
         if literals.all_true(stamps):
             first = next((stamp.as_py() for stamp in text if stamp.is_valid), "the first")
@@ -617,7 +591,8 @@ def _columns(table: Table, decimal_given: bool, surely: bool) -> Channels:
             continue
         best = max(numeric, stamps, key=lambda valid: compute.mean(valid).as_py())
         row = best.to_pylist().index(False)
-        said, line = repr(text[row].as_py()[:40]), table.line_of(row)
+        said = repr(text[row].as_py()[:40])
+        line, _ = next(itertools.islice(table.rows(), row, None))
         message = (
             f"line {line}: {said} is not a number; take off that line, correct it, leave the field"
             " empty, or name the decimal sign (on the command line: --decimal)."
@@ -629,9 +604,7 @@ def _columns(table: Table, decimal_given: bool, surely: bool) -> Channels:
             raise DataError(message)
         found.left_out[name] = f"it holds text, {said} on line {line}"
     # Spreadsheets leave empty rows at the end.
-    every = [*found.columns.values()]
-    if not every or not all(np.isnan(values[-1]) for values in every):
-        return found
-    filled = np.flatnonzero(~np.all(np.isnan(every), axis=0))
+    empty = [np.isnan(values) for values in found.columns.values()] or [np.zeros(1)]
+    filled = np.flatnonzero(~np.logical_and.reduce(empty))
     stop = filled[-1] + 1 if filled.size else None
     return replace(found, columns={name: v[:stop] for name, v in found.columns.items()})

@@ -3,7 +3,6 @@
 import contextlib
 import itertools
 import re
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -61,10 +60,12 @@ def stripped(text: Any) -> Any:
 
 
 def numbers(text: Any, decimal: str, grouped: bool) -> np.ndarray | None:
-    """A column of strings as floats, NaN for null; `None` if some are no numbers.
+    """A column of strings, or of floats, as floats, NaN for null; `None` if some are no numbers.
 
     `grouped`: the other sign may separate thousands.
     """
+    if text.type == pa.float64():
+        return floats(text)
     if decimal == "." or not compute.any(compute.match_substring(text, ".")).as_py():
         with contextlib.suppress(pa.ArrowInvalid):
             return _cast(text if decimal == "." else compute.replace_substring(text, ",", "."))
@@ -79,10 +80,10 @@ def numbers(text: Any, decimal: str, grouped: bool) -> np.ndarray | None:
 
 
 def measured(text: Any, decimal: str, grouped: bool) -> tuple[np.ndarray | None, str]:
-    """A column of stripped strings as floats, and the one unit behind all of them.
-
-    `None` if some are no numbers, or have another unit, or it is none.
-    """
+    """A column of strings as [`numbers`][], and the one unit behind all of them, or none."""
+    if (plain := numbers(text, decimal, grouped)) is not None:
+        return plain, ""
+    text = stripped(text)
     found = compute.extract_regex(text, _MEASURED)
     number, behind = found.flatten()
     units = compute.unique(compute.drop_null(behind)).to_pylist()
@@ -162,19 +163,23 @@ _ANY = re.sub(r"\?P<\w+>", "", "|".join(PATTERNS))
 _STAMP = re.compile(_ANY)
 
 
-def _has_unit(field: str, decimal: str) -> bool:
-    found = _WITH_UNIT.fullmatch(field)
-    return bool(found and _NUMBER[decimal].fullmatch(found["number"]) and is_known(found["unit"]))
-
-
 def kinds_of(fields: list[str], decimal: str) -> str:
     """What fields hold, a letter for each: `M`, nothing; `N`, a number; `S`, a time stamp; `D`, a
     number of the other decimal sign, which names no column; `T`, any other text."""
     other = "." if decimal == "," else ","
+
+    def is_number(field: str) -> bool:
+        found = _WITH_UNIT.fullmatch(field)
+        return bool(
+            _NUMBER[decimal].fullmatch(
+                found["number"] if found and is_known(found["unit"]) else field
+            )
+        )
+
     # A number of 6 or 14 digits is a number.
     return "".join(
         "M" if _MISSING.fullmatch(field)
-        else "N" if _NUMBER[decimal].fullmatch(field) or _has_unit(field, decimal)
+        else "N" if is_number(field)
         else "S" if _STAMP.fullmatch(field)
         else "D" if _NUMBER[other].fullmatch(field)
         else "T"
@@ -198,20 +203,15 @@ def seconds(text: Any) -> np.ndarray:
     **Raises:** `DataError` for dates that do not exist, or that run back.
     """
     parts = _parts(text)
-    days = _days(parts)
-
-    def since(fraction: np.ndarray) -> np.ndarray:
-        clock = _clock(parts) + fraction
-        if days is None:
-            return unwrapped(clock, DAY if "hours" in parts else HOUR)
-        return days * DAY + clock
-
-    found = since(parts["fraction"])
-    if _runs_back(found):
-        # Where the fraction has no leading zeros, `:5` and `:10` count thousandths.
-        counted = since(parts["count"] / 10 ** np.nanmax(parts["places"]))
-        found = found if _runs_back(counted) else counted
-    return found - _first(found)
+    days, clock = _days(parts), _clock(parts)
+    # Where the fraction has no leading zeros, `:5` and `:10` count thousandths.
+    counts = parts["count"] / 10 ** np.nanmax(parts["places"])
+    found: list[np.ndarray] = []
+    for fraction in (parts["fraction"], counts):
+        dial = DAY if "hours" in parts else HOUR
+        one = unwrapped(clock + fraction, dial) if days is None else days * DAY + (clock + fraction)
+        found.append(one - _first(one))
+    return next((one for one in found if not _runs_back(one)), found[0])
 
 
 def of_texts(values: Any) -> tuple[np.ndarray | None, str]:
@@ -243,8 +243,7 @@ def _first(values: np.ndarray) -> float:
 def _parts(text: Any) -> dict[str, np.ndarray]:
     """What stamps say, as numbers by the groups of [`PATTERNS`][], NaN where they say nothing.
 
-    Of a fraction its value, its digits as a whole number (`count`), and how many they are
-    (`places`).
+    The digits of a fraction are a `count` of that many `places` as well.
     """
     text = text.combine_chunks() if isinstance(text, pa.ChunkedArray) else text
     parts: dict[str, np.ndarray] = {}
@@ -254,25 +253,23 @@ def _parts(text: Any) -> dict[str, np.ndarray]:
         pattern = next(pattern for pattern in PATTERNS if re.match(pattern, sample))
         found = compute.extract_regex(text, pattern)
         here = left & (_cast(compute.is_valid(found)) > 0)
-        groups = dict(zip(re.findall(r"P<(\w+)>", pattern), found.flatten(), strict=True))
-        said = {k: _whole(group, _MONTHS * (k == "name")) for k, group in groups.items()}
-        digits = groups["fraction"]
-        said["fraction"] = _cast(compute.replace_substring_regex(digits, "^", "0."))
-        said |= {"count": _whole(digits), "places": _cast(compute.utf8_length(digits))}
-        for name, values in said.items():
-            parts.setdefault(name, np.full(len(text), np.nan))[here] = values[here]
+        said = dict(zip(re.findall(r"P<(\w+)>", pattern), found.flatten(), strict=True))
+        said |= {"count": said["fraction"], "places": said["fraction"]}
+        for name, group in said.items():
+            values = _number(name, group)[here]
+            parts.setdefault(name, np.full(len(text), np.nan))[here] = values
         left &= ~here
     return parts
 
 
-def _whole(group: Any, words: Sequence[str] = ()) -> np.ndarray:
-    """Digits as numbers, `words` by their place from 1, a sign as 1, nothing as 0."""
-    with contextlib.suppress(pa.ArrowInvalid):
-        return _cast(group)
-    for place, word in enumerate(words, start=1):
-        group = compute.replace_substring_regex(group, f"(?i){word}", str(place))
-    signs = compute.replace_substring_regex(group, r"\D", "1")
-    return _cast(compute.replace_substring_regex(signs, "^", "0"))
+def _number(name: str, group: Any) -> np.ndarray:
+    """Digits as numbers, names of months by their place from 1, signs by their number."""
+    for place, month in enumerate(_MONTHS if name == "name" else (), start=1):
+        group = compute.replace_substring_regex(group, f"(?i){month}", str(place))
+    if name in ("am", "pm", "west", "places"):
+        return _cast(compute.utf8_length(group))
+    zero = "0." if name == "fraction" else "0"
+    return _cast(compute.replace_substring_regex(group, "^", zero))
 
 
 def _days(parts: dict[str, np.ndarray]) -> np.ndarray | None:
