@@ -116,6 +116,53 @@ def test_only_a_last_line_that_is_not_ended_is_cut_off(tmp_path):
     assert "the last line is cut off and left out" in found.notes
 
 
+WHOLE, COMMAS = [f"{i};{i}" for i in range(3 * LONG)], [f"{i};{i},5" for i in range(LONG)]
+TAILS = {
+    "a column of decimals, then zeros": ([f"{i / 8:.3f}" for i in range(5 * LONG)], ["0"] * LONG),
+    "zeros, then decimals": (["0"] * 390, ["0.125", "1.375"]),
+    "two columns, then whole numbers": ([f"{i / 8} {i / 4}" for i in range(120)], ["7 8"] * 280),
+    "whole numbers, then commas": (WHOLE, COMMAS),
+    "whole numbers, then mostly commas": (WHOLE, 9 * COMMAS),
+    "decimals, then exponents": (["0.5;1.5"] * LONG, ["1e-3;+2.", "5;.5D+01", "inf;1E2"]),
+}
+
+
+@pytest.mark.parametrize("case", TAILS)
+def test_rows_far_below_the_first_ones_are_all_read(tmp_path, case):
+    first, last = TAILS[case]
+    found = values(tmp_path, "\n".join([*first, *last, ""]))
+    rows = [re.split("[; ]", row.replace(",", ".").replace("D", "e")) for row in first + last]
+    assert [*zip(*found.values())] == [tuple(map(float, row)) for row in rows]
+
+
+NEVER = {
+    "point, then comma": (["0;1.5"] * LONG, COMMAS, r"line 901: '0,5' is not .*--decimal"),
+    "comma, then point": (["0;1,5"] * LONG, ["0;1.5"] * 2000, r"line 901: '1.5' .*--decimal"),
+    "thousands or decimals": (WHOLE, ["1;1,234"], r"line 2701: '1,234' .*pass decimal"),
+    "one column or two": (["7"] * LONG, ["7,5"], r"line 901: '7,5' .*two columns; pass decimal"),
+    "wider": (["1 2"] * LONG, ["1 2 3"], r"line 901 has 3 values for 2 .*--delimiter"),
+    "narrower": (["1,2"] * LONG, ["1", ""], r"line 901 has 1 values for 2 .*--delimiter"),
+    "another delimiter": (["1;2"] * LONG, ["1\t2"] * 500, r"line 901 has 1 values.*--delimiter"),
+    "fewer columns first": (["1,2"] * 100, ["1,2,3"] * 290, "line 1 has 2 values for 3 columns"),
+    "a row number above": (["801"], ["0,1.5"] * 50, "line 1 has 1 values for 2 columns"),
+    "two tables": (["a,b", *["1,2"] * 100], ["a,b,c", *["1,2,3"] * 290], "line 2 and 99 more hold"),
+    "a word in the first row": (["0,err,3"], ["1,2,3"] * 50, "line 1: 'err' is not a number"),
+    "an open quote": (['0,1,"a'] + ["1,2,b"] * 9, ['2,3,"c', "3,4,d"], "line 11: a text in quotes"),
+}
+
+
+@pytest.mark.parametrize("case", NEVER)
+def test_rows_that_do_not_fit_are_refused_by_their_line(tmp_path, case):
+    first, last, words = NEVER[case]
+    assert re.search(words, message(tmp_path, "\n".join([*first, *last, ""])))
+
+
+def test_what_a_formula_gives_is_no_comment_and_a_lone_number_above_the_names_is_said(tmp_path):
+    found = columns(tmp_path, "801,0.5\nt,x,y\n" + "0,1,2\n#N/A,2,3\n2,#DIV/0!,4\n" * 9)
+    assert np.isnan(found.columns["t"]).sum() == np.isnan(found.columns["x"]).sum() == 9
+    assert found.notes == ["1 line above the column names skipped"]
+
+
 KINDS = {b"PK\x03\x04...": "zip archive", b"\x1f\x8b\x08": "gzip", b"\x89HDF\r\n": "HDF5"}
 
 
@@ -207,6 +254,11 @@ def test_nanoseconds_of_time_stamps_survive(tmp_path):
     np.testing.assert_allclose(
         values(tmp_path, text)["time"], np.arange(3000) * 1e-3, rtol=0, atol=1e-11
     )
+
+
+def test_dates_beside_elapsed_days_are_refused(tmp_path):
+    text = "time,x\n2024-05-01 10:00:00,1\n3 days 10:00:00,2\n"
+    assert "both dates and days" in message(tmp_path, text)
 
 
 @pytest.mark.parametrize("bad", ["abc", "1.2.3", "0x10", "1_000", "--5", "1e"])

@@ -26,7 +26,6 @@ from riecjax.records.reading.channels import (
     first_sentence,
 )
 from riecjax.records.reading.literals import compute, kinds_of
-from riecjax.records.reading.times import is_called_time
 from riecjax.records.reading.units import (
     BRACKETS,
     SECONDS,
@@ -475,10 +474,10 @@ def read_delimited(
 
     Delimiter, decimal sign, header, a row of units, comments and lines above the header are
     recognised; what could be read in two ways is refused. Columns without a header are called
-    `column 1`, `column 2`, ..., or by `columns`, and those of one name `x #1`, `x #2`, ...
+    `column 1`, `column 2`, ..., or by `columns`.
 
     **Raises:** `DataError` naming the line and the text that is no number, for rows of unequal
-    length, and for files that are not text or have no samples.
+    length, for two columns of one name, and for files that are not text or have no samples.
     """
     content, notes = as_utf8(file.read_bytes())
     table = read_table(content, delimiter, decimal, columns)
@@ -528,7 +527,6 @@ def read_table(
         "column names taken from a comment": header >= 0 and header not in found.kinds,
         "units taken from the row below the column names": found.units,
         f"{table.comments} comment line{'s' * (table.comments > 1)} skipped": table.comments,
-        "columns of one name are numbered": {*_names(found)} - {"", *found.names},
     }
     notes = [*(note for note, holds in decided.items() if holds), *read.notes, *notes]
     whole = replace(read, notes=notes)
@@ -537,26 +535,16 @@ def read_table(
 
 
 def _names(found: Layout) -> list[str]:
-    """Names of all columns, of several called so `x #1`, `x #2 [mm]`; empty behind the last one.
-
-    **Raises:** `DataError` for two times of one name, as nothing tells which signals are of which.
-    """
+    """Names of all columns; empty behind the last one. **Raises:** `DataError` for two of one."""
     # A spreadsheet takes what follows this mark for a text and no formula.
     names = [re.sub(r"(^|[;|,\t]\s*)'(?=[=+@-])", r"\1", name) for name in found.names]
     filled = len(_without_empty_end(names))
     names[:filled] = [name or NUMBERED.format(k + 1) for k, name in enumerate(names[:filled])]
-    count, seen = Counter(names[:filled]), Counter[str]()
-    for place, name in enumerate(names[:filled]):
-        if count[name] > 1 and is_called_time(name, {}):
-            raise DataError(
-                f"two columns are called '{name}'; name all columns (on the command line: --columns"
-                " A,B,...)."
-            )
-        if count[name] > 1:
-            seen[name] += 1
-            bare, unit = split_unit(name)
-            names[place] = f"{bare} #{seen[name]}" + (f" [{unit}]" if unit else "")
-    check_declared(names=names[:filled])
+    if twice := [name for name, count in Counter(names[:filled]).items() if count > 1]:
+        raise DataError(
+            f"two columns are called '{twice[0]}'; name all columns (on the command line: --columns"
+            " A,B,...)."
+        )
     return names
 
 
