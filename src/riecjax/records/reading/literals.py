@@ -168,20 +168,18 @@ def kinds_of(fields: list[str], decimal: str) -> str:
     number of the other decimal sign, which names no column; `T`, any other text."""
     other = "." if decimal == "," else ","
 
-    def is_number(field: str) -> bool:
+    def is_measured(field: str) -> bool:
         found = _WITH_UNIT.fullmatch(field)
-        return bool(
-            _NUMBER[decimal].fullmatch(
-                found["number"] if found and is_known(found["unit"]) else field
-            )
-        )
+        number = found and is_known(found["unit"]) and _NUMBER[decimal].fullmatch(found["number"])
+        return bool(number)
 
     # A number of 6 or 14 digits is a number.
     return "".join(
-        "M" if _MISSING.fullmatch(field)
-        else "N" if is_number(field)
-        else "S" if _STAMP.fullmatch(field)
+        "N" if _NUMBER[decimal].fullmatch(field)
+        else "M" if _MISSING.fullmatch(field)
         else "D" if _NUMBER[other].fullmatch(field)
+        else "N" if is_measured(field)
+        else "S" if _STAMP.fullmatch(field)
         else "T"
         for field in fields
     )  # fmt: skip
