@@ -139,6 +139,7 @@ NEVER = {
     "point, then comma": (["0;1.5"] * LONG, COMMAS, r"line 901: '0,5' is not .*--decimal"),
     "comma, then point": (["0;1,5"] * LONG, ["0;1.5"] * 2000, r"line 901: '1.5' .*--decimal"),
     "thousands or decimals": (WHOLE, ["1;1,234"], r"line 2701: '1,234' .*pass decimal"),
+    "either in a unit": (["t;x", "s;"], ["1;1,234 mm"] * 9, r"line 3: '1,234' .*pass decimal"),
     "one column or two": (["7"] * LONG, ["7,5"], r"line 901: '7,5' .*two columns; pass decimal"),
     "wider": (["1 2"] * LONG, ["1 2 3"], r"line 901 has 3 values for 2 .*--delimiter"),
     "narrower": (["1,2"] * LONG, ["1", ""], r"line 901 has 1 values for 2 .*--delimiter"),

@@ -215,7 +215,7 @@ def layout(
     if decimal or dialect.decimal == ".":
         return best
     commas = [
-        (place, field)
+        (place, literals.bare_number(field))
         for place, kind in best.kinds.items()
         for field, letter in zip(dialect.fields(lines[place]), kind, strict=True)
         if place >= best.start and letter == "N" and "," in field

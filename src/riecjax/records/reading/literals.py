@@ -163,22 +163,22 @@ _ANY = re.sub(r"\?P<\w+>", "", "|".join(PATTERNS))
 _STAMP = re.compile(_ANY)
 
 
+def bare_number(field: str) -> str:
+    """A number without the unit behind it."""
+    found = _WITH_UNIT.fullmatch(field)
+    return found["number"] if found and is_known(found["unit"]) else field
+
+
 def kinds_of(fields: list[str], decimal: str) -> str:
     """What fields hold, a letter for each: `M`, nothing; `N`, a number; `S`, a time stamp; `D`, a
     number of the other decimal sign, which names no column; `T`, any other text."""
     other = "." if decimal == "," else ","
-
-    def is_measured(field: str) -> bool:
-        found = _WITH_UNIT.fullmatch(field)
-        number = found and is_known(found["unit"]) and _NUMBER[decimal].fullmatch(found["number"])
-        return bool(number)
-
     # A number of 6 or 14 digits is a number.
     return "".join(
         "N" if _NUMBER[decimal].fullmatch(field)
         else "M" if _MISSING.fullmatch(field)
         else "D" if _NUMBER[other].fullmatch(field)
-        else "N" if is_measured(field)
+        else "N" if _NUMBER[decimal].fullmatch(bare_number(field))
         else "S" if _STAMP.fullmatch(field)
         else "T"
         for field in fields
