@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from benchmarks.recorded import FOLDER, filled_in, run_part, table, write_json
 from riecjax.runtime import start_jax
 
-SUITE = ("all_windows", "simulation", "estimation")
+SUITE = ("all_windows", "simulation", "estimation", "reading")
 PARTS = ("instant", "growth")
 PAGE = FOLDER.parent / "docs" / "speed.md"
 BEGIN = "<!-- measured: make bench -->"

@@ -124,14 +124,14 @@ def numpy_savetxt(file: Path, c: Texts) -> None:
     save(file, "# t x u", *lines(*c.values(), sep=" "))
 
 
-@table(suffix=".txt", refused="'[' stands before the numbers; take brackets and labels off")
+@table(suffix=".txt", refused="Take off brackets and labels, name delimiter")
 def table_in_brackets(file: Path, c: Texts) -> None:
     """A script's print of a list of lists: brackets around the table and each row."""
     rows = [f"[{row}]," for row in lines(*c.values(), sep=", ")]
     save(file, '[["t", "x", "u"],', *rows[:-1], rows[-1][:-1] + "]")
 
 
-@table()
+@table(refused="name delimiter and decimal sign (on the command line: --delimiter")
 def rows_in_quotes(file: Path, c: Texts) -> None:
     """A spreadsheet that took each line for one cell: quotes around every whole line."""
     save(file, *(f'"{row}"' for row in ["t,x,u", *lines(*c.values())]))

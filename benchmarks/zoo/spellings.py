@@ -128,7 +128,7 @@ def appended(file: Path, c: Texts) -> None:
     save(file, *head, *rows[:300], *head, *rows[300:])
 
 
-@table(names=dict(u="u"))
+@table(names=dict(u="u"), refused="'Time'; name all columns (on the command line: --columns")
 def repeated_columns(file: Path, c: Texts) -> None:
     """Two tables side by side, with the time in each and two channels of one name."""
     columns = (c["t"], c["x"], c["u"], c["t"], c["u"], c["x"])
@@ -162,13 +162,13 @@ def comments_of_names_and_units(file: Path, c: Texts) -> None:
     save(file, "# t x u", "# s mm N", *rows)
 
 
-@table()
+@table(refused="name delimiter and decimal sign (on the command line: --delimiter")
 def numbers_kept_from_excel(file: Path, c: Texts) -> None:
     """A web page's export: every number as `="0.5"`."""
     save(file, "t,x,u", *lines(*([f'="{text}"' for text in column] for column in c.values())))
 
 
-@table()
+@table(refused="name delimiter and decimal sign (on the command line: --delimiter")
 def arabic_digits(file: Path, c: Texts) -> None:
     """Excel, Arabic: digits and decimal sign of its own, between semicolons."""
     digits = str.maketrans("0123456789.", "٠١٢٣٤٥٦٧٨٩٫")
@@ -193,7 +193,7 @@ def indian_thousands(file: Path) -> Truth:
     return {**truth, "pulses": 123456.75 + np.arange(COUNT)}
 
 
-@table()
+@table(refused="save text as UTF-8")
 def utf_32(file: Path, c: Texts) -> None:
     """UTF-32 with its mark."""
     save(file, "t,x,u", *lines(*c.values()), encoding="utf-32")

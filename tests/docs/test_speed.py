@@ -15,6 +15,7 @@ NAMES = [
     "bootstrap",
     "refine",
     "weak-peer",
+    "read-csv",
 ]
 
 

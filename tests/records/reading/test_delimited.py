@@ -10,7 +10,6 @@ import pytest
 from riecjax.doubts.reading import read_record
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import read_channels
-from riecjax.records.reading.delimited import LONGEST_LINE
 
 LONG = 900
 """Rows of a file much longer than what its dialect is decided on."""
@@ -54,16 +53,13 @@ READABLE = {
     "comments": "# by a logger\n%two\nt,x\n0,1.5\n# paused, twice\n0.5,-2e-3\n//x\n1,3.25\n",
     "header in a comment": "# made by savetxt\n# t x\n0 1.5\n0.5 -2e-3\n1 3.25\n",
     "preamble as wide as the table": "Title,Run 7\nGain,2\nt,x\n0,1.5\n0.5,-2e-3\n1,3.25\n",
-    "rows quoted as a whole": '"t,x"\n"0,1.5"\n"0.5,-2e-3"\n"1,3.25"\n',
     "Fortran": "t,x\n0.,.15D+01\n.5,-2d-3\n1.,3.25D0\n",
     "semicolon comments": ";by a logger\nt,x\n0,1.5\n;paused\n0.5,-2e-3\n1,3.25\n",
 }
 
 
 @pytest.mark.parametrize("case", READABLE)
-@pytest.mark.parametrize(
-    "encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"]
-)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
 def test_one_table_in_every_dialect_and_encoding(tmp_path, case, encoding):
     assert values(tmp_path, READABLE[case].encode(encoding)) == TX
 
@@ -88,8 +84,8 @@ def test_columns_without_names_have_numbers_or_those_given(tmp_path, case):
 
 LONG_ROWS = [f"{i / 8},{i},{2 * i}" for i in range(60)]
 ODD = {
-    "rows in brackets": (["[" + row + "]" for row in LONG_ROWS], r"line 1: '\[' stands before"),
-    "a MATLAB matrix": (["x = [", *LONG_ROWS, "];"], r"line 1: 'x = \[' stands before"),
+    "rows in brackets": (["[" + row + "]" for row in LONG_ROWS], "Take off brackets and labels"),
+    "a MATLAB matrix": (["x = [", *LONG_ROWS, "];"], "1 column names but 3 .*--columns"),
     "a heading again": (["t,a,b", *LONG_ROWS, "t,a,b", *LONG_ROWS], "line 62: 't' is not a number"),
     "means below": (["t,a,b", *LONG_ROWS, "Mean,1,2"], "line 62: 'Mean' is not a number; take off"),
     "a word among": (
@@ -118,6 +114,54 @@ def test_only_a_last_line_that_is_not_ended_is_cut_off(tmp_path):
     found = columns(tmp_path, "\n".join(["t,a,b", *LONG_ROWS, "6.0,6"]))
     assert found.columns["a"].size == 60
     assert "the last line is cut off and left out" in found.notes
+
+
+WHOLE, COMMAS = [f"{i};{i}" for i in range(3 * LONG)], [f"{i};{i},5" for i in range(LONG)]
+TAILS = {
+    "a column of decimals, then zeros": ([f"{i / 8:.3f}" for i in range(5 * LONG)], ["0"] * LONG),
+    "zeros, then decimals": (["0"] * 390, ["0.125", "1.375"]),
+    "two columns, then whole numbers": ([f"{i / 8} {i / 4}" for i in range(120)], ["7 8"] * 280),
+    "whole numbers, then commas": (WHOLE, COMMAS),
+    "whole numbers, then mostly commas": (WHOLE, 9 * COMMAS),
+    "decimals, then exponents": (["0.5;1.5"] * LONG, ["1e-3;+2.", "5;.5D+01", "inf;1E2"]),
+}
+
+
+@pytest.mark.parametrize("case", TAILS)
+def test_rows_far_below_the_first_ones_are_all_read(tmp_path, case):
+    first, last = TAILS[case]
+    found = values(tmp_path, "\n".join([*first, *last, ""]))
+    rows = [re.split("[; ]", row.replace(",", ".").replace("D", "e")) for row in first + last]
+    assert [*zip(*found.values())] == [tuple(map(float, row)) for row in rows]
+
+
+NEVER = {
+    "point, then comma": (["0;1.5"] * LONG, COMMAS, r"line 901: '0,5' is not .*--decimal"),
+    "comma, then point": (["0;1,5"] * LONG, ["0;1.5"] * 2000, r"line 901: '1.5' .*--decimal"),
+    "thousands or decimals": (WHOLE, ["1;1,234"], r"line 2701: '1,234' .*pass decimal"),
+    "either in a unit": (["t;x", "s;"], ["1;1,234 mm"] * 9, r"line 3: '1,234' .*pass decimal"),
+    "one column or two": (["7"] * LONG, ["7,5"], r"line 901: '7,5' .*two columns; pass decimal"),
+    "wider": (["1 2"] * LONG, ["1 2 3"], r"line 901 has 3 values for 2 .*--delimiter"),
+    "narrower": (["1,2"] * LONG, ["1", ""], r"line 901 has 1 values for 2 .*--delimiter"),
+    "another delimiter": (["1;2"] * LONG, ["1\t2"] * 500, r"line 901 has 1 values.*--delimiter"),
+    "fewer columns first": (["1,2"] * 100, ["1,2,3"] * 290, "line 1 has 2 values for 3 columns"),
+    "a row number above": (["801"], ["0,1.5"] * 50, "line 1 has 1 values for 2 columns"),
+    "two tables": (["a,b", *["1,2"] * 100], ["a,b,c", *["1,2,3"] * 290], "line 2 and 99 more hold"),
+    "a word in the first row": (["0,err,3"], ["1,2,3"] * 50, "line 1: 'err' is not a number"),
+    "an open quote": (['0,1,"a'] + ["1,2,b"] * 9, ['2,3,"c', "3,4,d"], "line 11: a text in quotes"),
+}
+
+
+@pytest.mark.parametrize("case", NEVER)
+def test_rows_that_do_not_fit_are_refused_by_their_line(tmp_path, case):
+    first, last, words = NEVER[case]
+    assert re.search(words, message(tmp_path, "\n".join([*first, *last, ""])))
+
+
+def test_what_a_formula_gives_is_no_comment_and_a_lone_number_above_the_names_is_said(tmp_path):
+    found = columns(tmp_path, "801,0.5\nt,x,y\n" + "0,1,2\n#N/A,2,3\n2,#DIV/0!,4\n" * 9)
+    assert np.isnan(found.columns["t"]).sum() == np.isnan(found.columns["x"]).sum() == 9
+    assert found.notes == ["1 line above the column names skipped"]
 
 
 KINDS = {b"PK\x03\x04...": "zip archive", b"\x1f\x8b\x08": "gzip", b"\x89HDF\r\n": "HDF5"}
@@ -213,7 +257,12 @@ def test_nanoseconds_of_time_stamps_survive(tmp_path):
     )
 
 
-@pytest.mark.parametrize("bad", ["abc", "1.2.3", "1,5", "0x10", "1_000", "--5", "1e"])
+def test_dates_beside_elapsed_days_are_refused(tmp_path):
+    text = "time,x\n2024-05-01 10:00:00,1\n3 days 10:00:00,2\n"
+    assert "both dates and days" in message(tmp_path, text)
+
+
+@pytest.mark.parametrize("bad", ["abc", "1.2.3", "0x10", "1_000", "--5", "1e"])
 def test_one_bad_number_among_many_is_an_error_that_names_its_line(tmp_path, bad):
     rows = [[str(i), str(2 * i)] for i in range(700)]
     rows[600][1] = bad
@@ -234,11 +283,13 @@ ERRORS = {
     "too few names": ("t,x\n0,1,5\n1,2,5\n", "2 column names but 3 columns"),
     "too many names": ("t,x,y\n0,1\n1,2\n", "3 column names but 2 columns"),
     "ragged": ("t,x\n0,1\n1\n2,3\n", "line 3 has 1 values for 2 columns"),
-    "two times": ("t,a,t\n0,1,1\n1,1,1\n", "'t' and differ; name all columns"),
+    "two times": ("t,a,t\n0,1,1\n1,1,1\n", "two columns are called 't'; name all columns"),
     "binary": (bytes(range(256)) * 20, "not a text file"),
     "null byte": (b"t,x\n0,\x00\n1,2\n", "not a text file"),
     "comma twice": ("t,x\n0,0,1,5\n0,5,2,5\n", "2 column names but 4 columns"),
-    "long line": (b"t,x\n" + b"1" * (LONGEST_LINE + 9), "no table of numbers"),
+    "long line": (b"t,x\n" + b"1" * 2**23, "no line holds numbers"),
+    "no mark": ("t,x\n0,1\n1,2\n".encode("utf-16-le"), "save text as UTF-8"),
+    "quoted rows": ('"0,1"\n"1,2"\n"2,3"\n', "pass decimal=',' or delimiter"),
     "million columns": ("a," * 10**6 + "b\n" + "1," * 10**6 + "1\n", "at most 10000 are read"),
 }
 
@@ -260,10 +311,7 @@ def test_unreadable_files(tmp_path, case):
     ],
 )
 def test_thousands_or_decimals_are_never_guessed(tmp_path, text, delimiter, decimal, expected):
-    if ".234" not in text:
-        assert "pass decimal=',' or decimal='.'" in message(tmp_path, text)
-    else:
-        assert "x" not in columns(tmp_path, text).columns
+    assert re.search("pass decimal=',' or decimal='.'|--decimal", message(tmp_path, text))
     assert values(tmp_path, text, decimal=decimal)["x"] == expected
 
 
@@ -276,7 +324,7 @@ def test_one_clear_decimal_comma_settles_the_others(tmp_path, proof):
 
 def test_one_column_with_commas_may_be_two(tmp_path):
     text = "x\n1,5\n2,25\n3,125\n"
-    assert "one number with a decimal comma, or two columns" in message(tmp_path, text)
+    assert "'1,5' has a decimal comma, or two columns" in message(tmp_path, text)
     assert values(tmp_path, text, decimal=",")["x"] == [1.5, 2.25, 3.125]
     assert "1 column names but 2" in message(tmp_path, text, delimiter=",")
 
@@ -317,7 +365,7 @@ def test_signs_between_thousands(tmp_path):
 def test_words_above_the_numbers(tmp_path):
     rows = "0;1.5\n0.5;-2e-3\n1;3.25\n"
     assert values(tmp_path, "t;x;Comment\n" + rows) == TX
-    assert values(tmp_path, "Signal;t;x\nDATA\n" + rows) == TX
+    assert values(tmp_path, "t;x\nDATA\n" + rows) == TX
     assert values(tmp_path, "t;1\nsecond;Volt\n" + rows)["1"] == TX["x"]
     # A name too many is no remark.
     assert "3 column names but 2" in message(tmp_path, "t;x;y\n" + rows)

@@ -26,7 +26,6 @@ from riecjax.records.reading.channels import (
     first_sentence,
 )
 from riecjax.records.reading.literals import compute, kinds_of
-from riecjax.records.reading.times import is_called_time
 from riecjax.records.reading.units import (
     BRACKETS,
     SECONDS,
@@ -36,32 +35,25 @@ from riecjax.records.reading.units import (
     split_unit,
 )
 
-QUOTED = 2**12
-"""Bytes at the start of a file that tell its encoding, and whether whole rows are quoted."""
-MOSTLY = 0.9
-"""Share of numbers in a column from which a text in it is an error, not a sign of a text column."""
 OTHER_FORMATS = {
     b"PK\x03\x04": "an Excel workbook or another zip archive",
     b"\x1f\x8b": "packed by gzip",
-    b"\xd0\xcf\x11\xe0": "a workbook of Excel before 2007 (.xls)",
     b"\x89HDF": "an HDF5 file",
-    b"MATLAB": "a MATLAB file",
-    b"TDSm": "a TDMS file",
-    b"PAR1": "a Parquet file",
 }
 """What a file that begins so is, whatever its name."""
-_ARABIC = str.maketrans("٠١٢٣٤٥٦٧٨٩۰۱۲۳۴۵۶۷۸۹٫", "01234567890123456789.", "٬")
-_IN_ARABIC = re.compile(rb"\xd9[\xa0-\xa9]|\xdb[\xb0-\xb9]")
-_CHUNK = 2**20
-_CONTROLS = re.compile(rb"[\x01-\x08\x0e-\x1a\x1c-\x1f\x7f]")
+
+
+HEAD = 2**12
+"""Bytes at the start of a file in which quoted names with line breaks are looked for."""
+_BROKEN = re.compile(rb'(?m)(?:^|(?<=[,;\t]))"[^"]*\n[^"]*"(?=[,;\t]|$)')
 
 
 def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
     """A text file's content in UTF-8 with lines ended by `\\n`, and what was decided.
 
-    UTF-8, UTF-16, and UTF-32 with a mark are recognised; any other text is taken as Latin-1, which
-    differs from other 8-bit encodings in names but not in numbers. Digits of Arabic and Persian
-    become those of ASCII, the sign of minus a hyphen; what has no width goes.
+    UTF-8, and UTF-16 with a mark, are recognised; any other text is taken as Latin-1, which differs
+    from other 8-bit encodings in names but not in numbers. A sign of minus becomes a hyphen, a line
+    break within a quoted name a blank; what has no width goes.
 
     **Raises:** `DataError` for a binary file.
     """
@@ -69,129 +61,41 @@ def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
         if content.startswith(start):
             raise DataError(f"it is {kind}, whatever its name says; unpack, rename or export it.")
     notes: list[str] = []
-    even, odd = content[:QUOTED:2], content[1:QUOTED:2]
-
-    def are_wide(zeros: bytes, letters: bytes) -> bool:
-        return len(zeros) > 1 and zeros.count(0) > MOSTLY * len(zeros) and 0 not in letters
-
-    encodings = {
-        "utf-32": content.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)),
-        "utf-16": content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)),
-        # Without a mark: digits and delimiters have a zero as every other byte.
-        "utf-16-le": are_wide(odd, even),
-        "utf-16-be": are_wide(even, odd),
-    }
-    if wide := next((name for name, holds in encodings.items() if holds), ""):
-        called = wide[:6].upper()
-        try:
-            content = content.decode(wide).encode()
-        except UnicodeError:
-            raise DataError(f"not a text file in {called}; it is damaged.") from None
-        notes.append(f"read as {called}")
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        content = content.decode("utf-16", "replace").encode()
+        notes.append("read as UTF-16")
     whole = content.rstrip(b"\0")
     if 0 < len(whole) < len(content):
         notes.append(f"{len(content) - len(whole)} bytes of 0 at the end left out")
         content = whole
     place = content.find(b"\0")
     if place >= 0:
-        raise DataError(f"not a text file in UTF-8: byte {place} is 0, as in binary files.")
-    try:
-        content.decode()
-    except UnicodeDecodeError:
-        if _CONTROLS.search(content[:_CHUNK]):
-            raise DataError(
-                "not a text file in UTF-8: it holds binary control characters."
-            ) from None
-        content = content.decode("latin-1").encode()
-        notes.append("read as Latin-1, not being UTF-8")
-    content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    content = content.replace(codecs.BOM_UTF8, b"").replace("\u200b".encode(), b"")
-    if b"\xe2\x88\x92" in content:
-        content = re.sub(rb"\xe2\x88\x92(?=[\d.,])", b"-", content)
-    if _IN_ARABIC.search(content[:_CHUNK]):
-        content = content.decode().translate(_ARABIC).encode()
+        raise DataError(
+            f"not a text file in UTF-8: byte {place} is 0, as in binary files; save text as UTF-8."
+        )
+    if not content.isascii():
+        try:
+            text = content.decode()
+        except UnicodeDecodeError:
+            text = content.decode("latin-1")
+            notes.append("read as Latin-1, not being UTF-8")
+        text = re.sub("\N{MINUS SIGN}(?=[\\d.,])", "-", re.sub("[\ufeff\u200b]", "", text))
+        content = text.encode()
+    if b"\r" in content:
+        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    head = content[:HEAD]
+    joined = _BROKEN.sub(lambda name: name[0].replace(b"\n", b" "), head)
+    if lost := head.count(b"\n") - joined.count(b"\n"):
+        # Later lines keep their numbers.
+        content = b"\n" * lost + joined + content[HEAD:]
     return content, notes
-
-
-FEWEST_MEASURED = 5
-"""Rows on which it is decided that units stand behind numbers."""
-MOST_HEADINGS, MOST_BREAKS = 40, 6
-"""Lines in which names with a line break are looked for, and lines of one such row."""
-_GROUPED = re.compile(
-    rb"(?<![\d.,])(\d{1,3})('|\xe2\x80\x99|\xe2\x80\xaf|\xc2\xa0|\xc2\x92)(\d{3}(?:\2\d{3})*)(?!\d)"
-)
-_MEASURED = re.compile(r"[+-]?[\d.,]*\d(?:[eE][+-]?\d+)? ?(?P<unit>[^\s\d,;.+-][^,;\t]*)")
-_AS_TEXT = re.compile(rb"(?m)(^|[,;\t])(?:=\"([^\"\n]*)\"|'([^'\n]*)')(?=[,;\t]|$)")
-_OPEN = re.compile(rb'(?:^|[,;\t])[ ]*"[^"]*$')
-
-
-def plain_rows(content: bytes) -> tuple[bytes, list[str], list[str]]:
-    """A text without what stands around its numbers, what was taken off, and units behind numbers.
-
-    Quotes around rows that a spreadsheet took for one cell (`"0,1"`), semicolons at the end of
-    every line; units behind numbers, as of MATLAB's durations (`0.5 sec`); apostrophes and blanks
-    that do not break, between thousands (`1'234.5`); single quotes, and what keeps a number from
-    Excel (`="0.5"`); breaks within quoted names.
-
-    **Returns:** the units by position.
-    """
-    notes = []
-    if b'"' in content[:QUOTED]:
-        # Rows of names on one line, where quoted names hold line breaks; later lines keep their
-        # numbers.
-        lines = content.split(b"\n", MOST_HEADINGS)
-        for place in range(len(lines) - 1):
-            for count in range(1, min(MOST_BREAKS, len(lines) - place)):
-                row = b" ".join(lines[place : place + count])
-                if not _OPEN.search(re.sub(rb'"[^"]*"', b"", row)):
-                    lines[place : place + count] = [row, *[b""] * (count - 1)]
-                    break
-        content = b"\n".join(lines)
-    if any(sign in content[:QUOTED] for sign in (b'="', b"'")):
-        content = _AS_TEXT.sub(rb"\1\2\3", content)
-    lines = [line for line in content[:QUOTED].split(b"\n")[:-1] if line.strip()]
-    if lines and all(re.fullmatch(rb'[ \t]*"[^"]*[,;\t][^"]*"[ \t]*', line) for line in lines):
-        content = re.sub(rb'(?m)^[ \t]*"|"[ \t]*$', b"", content)
-        notes.append("quotes around rows removed")
-    if content.rstrip().endswith(b";"):
-        rows = [line.rstrip() for line in content.split(b"\n") if line.strip()]
-        if sum(row.endswith(b";") for row in rows) >= len(rows) - 1:
-            content = re.sub(rb"(?m);[ \t]*$", b"", content)
-    content, units = _without_units(content)
-    if any(sign in content for sign in (b"'", b"\xe2\x80", b"\xc2")):
-        content, count = _GROUPED.subn(lambda match: match[0].replace(match[2], b""), content)
-        notes += ["signs between thousands removed"] if count else []
-    return content, notes, units
-
-
-def _without_units(content: bytes) -> tuple[bytes, list[str]]:
-    """Rows of numbers without the units behind them, where all rows have the same ones."""
-    lines = content[: 4 * QUOTED].decode(errors="replace").split("\n")[:-1]
-    rows = [line for line in lines if line.strip()][-FEWEST_MEASURED:]
-    sign = next((sign for sign in ";\t," if all(sign in row for row in rows)), "")
-    if len(rows) < FEWEST_MEASURED or not sign:
-        return content, []
-    found = [[_MEASURED.fullmatch(field.strip()) for field in row.split(sign)] for row in rows]
-    units = [[match["unit"] if match else "" for match in row] for row in found]
-    if any(row != units[0] for row in units) or not any(map(is_known, units[0])):
-        return content, []
-    behind = b"|".join(re.escape(unit.encode()) for unit in {*units[0]} if is_known(unit))
-    pattern = rb"(?m)(?<=[\d.]) ?(?:" + behind + rb")(?=[ ]*(?:" + sign.encode() + rb"|$))"
-    return re.sub(pattern, b"", content), [unit if is_known(unit) else "" for unit in units[0]]
 
 
 NAMES = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "white space"}
 SIGNS = tuple(NAMES)[:-1]
 """Delimiters in order of preference; a blank, the last one, stands for any white space."""
-MISFIT = 0.3
-"""Badness past which a layout is taken only where there is no better one, with names or without."""
-ROWS = frozenset(("signal", "signals", "name", "names", "channel", "channels"))
-"""What a row of names calls itself in a field before them."""
-REMARKS = frozenset(("comment", "comments", "remark", "remarks", "kommentar", "bemerkung"))
+REMARKS = ("comment", "comments", "remark", "remarks", "kommentar", "bemerkung")
 """Columns that hold words, if anything."""
-PLACES = ("TS", "RN")
-"""What Campbell's TOA5 writes for the unit of a time stamp, and of a record's number."""
-_FRAMED = re.compile(r"\s*(?:\w+\s*=\s*)?[\[({]+(?=[\s\d.,;+\-\"]|$)")
 
 
 class Dialect(NamedTuple):
@@ -201,13 +105,14 @@ class Dialect(NamedTuple):
     decimal: str
 
     @property
-    def comment_signs(self) -> str:
-        """Pattern of what makes a line a comment."""
-        return "#|%|//" if self.delimiter == ";" else "#|%|;|//"
+    def comments(self) -> tuple[str, ...]:
+        """What makes a line a comment, as patterns; what a spreadsheet's formula gives is none."""
+        signs = (rf"#(?!{literals.NO_RESULT[1:]})", "%", "//", ";")
+        return signs[:-1] if self.delimiter == ";" else signs
 
     def comment(self, line: str) -> re.Match[str] | None:
         """The sign that makes this line a comment."""
-        return re.match(rf"\s*(?:{self.comment_signs})+\s*", line)
+        return re.match(rf"\s*(?:{'|'.join(self.comments)})+\s*", line)
 
     def fields(self, line: str) -> list[str]:
         """The fields of one line, stripped."""
@@ -218,27 +123,30 @@ class Dialect(NamedTuple):
         fields = next(csv.reader([line], delimiter=self.delimiter), [])
         return [field.strip().strip('"').strip() for field in fields]
 
-    def __str__(self) -> str:
-        return f"delimiter {NAMES.get(self.delimiter, self.delimiter)}, decimal {self.decimal!r}"
-
 
 class Layout(NamedTuple):
     """A table in a text file, as read in one dialect.
 
     **Fields:** `names` of the columns; `units` by position; `start`, the line (from 0) with the
-    first row of numbers; `width`, fields in a row; `filled`, those up to the last that usually
-    holds something; `header`, the line of the names; `badness`, the share of rows and fields that
-    do not fit.
+    first row of numbers; `pattern`, what the usual row holds, by
+    [`kinds_of`][riecjax.records.reading.literals.kinds_of]; `header`, the line of the names, -1 if
+    there is none; `badness`, the share of rows and fields that do not fit; `kinds` of the
+    fields of each row, by its line.
     """
 
     dialect: Dialect
     names: list[str]
     units: list[str]
     start: int
-    width: int
-    filled: int
+    pattern: str
     header: int
     badness: float
+    kinds: dict[int, str]
+
+    @property
+    def width(self) -> int:
+        """Fields in a row."""
+        return len(self.pattern)
 
     @property
     def named(self) -> bool:
@@ -255,7 +163,8 @@ def layout(
     fields that are no numbers, is taken. Where no row above the numbers can name them, or
     `columns` do, the first row of numbers is the first sample.
 
-    **Raises:** `DataError` where there is none, or where two are equally good.
+    **Raises:** `DataError` where there is none, where commas may mean two things, and for rows of
+    numbers above the column names.
     """
     for line in lines:
         if len(line) > MOST_COLUMNS:
@@ -268,53 +177,57 @@ def layout(
         if sign != mark or '"' in text:
             table = _layout(lines, Dialect(mark, sign))
             # One column only where its name holds no delimiter: else the file has more columns.
-            alone = table and table.width == 1 and not delimiter and table.header >= 0
-            if table and not (alone and any(d in lines[table.header] for d in SIGNS)):
+            sure = delimiter or table is None or table.width > 1 or table.header < 0
+            if table and (sure or not any(d in lines[table.header] for d in SIGNS)):
                 layouts.append(table)
     if not layouts:
         filled = [place for place, line in enumerate(lines) if line.strip()]
-        if not filled:
-            raise DataError("the file is empty; the first row must name the columns.")
-        if len(filled) == 1:
-            raise DataError("there are no samples below the column names.")
+        if len(filled) < 2:
+            raise DataError(
+                "there are no samples below the column names; the first row must name the columns."
+            )
         place = filled[len(filled) // 2]
         raise DataError(
             f"no line holds numbers between delimiters; line {place + 1} is {lines[place][:60]!r}."
             " Take off brackets and labels, name delimiter and decimal sign (on the command line:"
             " --delimiter, --decimal), or export the file otherwise."
         )
-    best = min(
-        layouts,
-        key=lambda one: (one.badness > MISFIT, not one.named, round(one.badness, 3), -one.width),
-    )
-    if columns and len(columns) not in (best.width, best.filled):
-        raise DataError(f"{len(columns)} names are given for {best.width} columns of numbers.")
+    best = min(layouts, key=lambda one: (not one.named, one.badness, -one.width))
+    dialect, width = best.dialect, best.width
+    if columns and len(columns) not in (width, len(best.pattern.rstrip("M"))):
+        raise DataError(f"{len(columns)} names are given for {width} columns of numbers.")
     if columns or best.header < 0:
         # Behind a delimiter at the end of each row there may be an empty column.
-        names = list(columns) or [NUMBERED.format(place + 1) for place in range(best.width)]
-        names += [""] * (best.width - len(names))
-        units = best.units if len(best.units) == best.width else []
-        best = best._replace(names=names, units=units)
-    for place in [best.start] if best.named else [best.header, best.start]:
-        if framed := _FRAMED.match(lines[place]):
-            raise DataError(
-                f"line {place + 1}: {framed[0].strip()!r} stands before the numbers; take brackets"
-                " and labels off the rows."
-            )
+        names = list(columns) or [NUMBERED.format(place + 1) for place in range(width)]
+        best = best._replace(names=names + [""] * (width - len(names)))
     if not best.named:
-        twice = best.dialect.delimiter == "," and best.width == 2 * len(best.names)
-        remedy = " If commas are decimal signs too, export the file with another delimiter."
         raise DataError(
-            f"{len(best.names)} column names but {best.width} columns of numbers"
-            f" ({best.dialect}; line {best.start + 1}).{remedy * twice}"
+            f"{len(best.names)} column names but {width} columns of numbers (line"
+            f" {best.start + 1}). Name all columns (on the command line: --columns A,B,...). If"
+            " commas are decimal signs too, export the file with another delimiter."
         )
-    if (decimal, delimiter, best.width, best.dialect.decimal) == (None, None, 1, ","):
-        for place in range(best.start, len(lines)):
-            if "," in lines[place] and not best.dialect.comment(lines[place]):
-                raise DataError(
-                    f"line {place + 1}: {lines[place].strip()[:40]!r} is one number with a decimal"
-                    " comma, or two columns; pass decimal=',' or delimiter=','."
-                )
+    skipped = [n for n, k in best.kinds.items() if n < best.header and "NN" in k and not _texts(k)]
+    if len(skipped) > 2:
+        raise DataError(
+            f"line {skipped[0] + 1} and {len(skipped) - 1} more hold numbers above the column names"
+            f" on line {best.header + 1}; split the file there."
+        )
+    if decimal or dialect.decimal == ".":
+        return best
+    commas = [
+        (place, literals.bare_number(field))
+        for place, kind in best.kinds.items()
+        for field, letter in zip(dialect.fields(lines[place]), kind, strict=True)
+        if place >= best.start and letter == "N" and "," in field
+    ]
+    alone = width == 1 and not delimiter
+    if commas and (alone or all(re.fullmatch(literals.GROUPED["."], f) for _, f in commas)):
+        place, field = commas[0]
+        others = "two columns" if alone else "commas between thousands"
+        raise DataError(
+            f"line {place + 1}: {field!r} has a decimal comma, or {others}; pass decimal=',' or"
+            f" {'delimiter=' if alone else 'decimal='}'{',' if alone else '.'}'."
+        )
     return best
 
 
@@ -325,48 +238,50 @@ def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
         if line.strip() and not dialect.comment(line)
     }
     kinds = {place: kinds_of(fields, dialect.decimal) for place, fields in rows.items()}
-    usual = Counter(kind for kind in kinds.values() if "N" in kind or "S" in kind)
+    numeric = {place: kind for place, kind in kinds.items() if {*kind} & {*"NS"}}
+    # Brackets and labels are to be taken off.
+    usual = Counter(k for place, k in numeric.items() if lines[place].lstrip()[0] not in "[({")
     if not usual:
         return None
     # The usual row is data; of equally usual ones the one with fewest texts.
     pattern = max(usual, key=lambda kind: (usual[kind], -_texts(kind), len(kind)))
+    width = len(pattern)
     first = next(
         place
         for place, kind in kinds.items()
-        if len(kind) == len(pattern)
+        if len(kind) == width
         and all(a == b or "M" in (a, b) for a, b in zip(kind, pattern, strict=True))
     )
-    width = len(pattern)
-    header, units, start = _header(rows, kinds, first, pattern)
-    names = [] if header is None else rows[header]
-    if header is None:
-        # The last comment above the numbers that names each column, or the one above its units.
-        header, filled = -1, (place for place in reversed(range(first)) if lines[place].strip())
-        signs = ((place, dialect.comment(lines[place])) for place in filled)
-        comments = [
-            (place, _joined(dialect.fields(lines[place][sign.end() :]), dialect, width))
-            for place, sign in itertools.islice(itertools.takewhile(lambda s: s[1], signs), 2)
-            if sign
-        ]
-        named = [len(n) == width and "T" in kinds_of(n, dialect.decimal) for _, n in comments]
-        if named == [True, True] and _is_unit_row(comments[0][1]):
-            (header, names), units = comments[1], list(map(bare_unit, comments[0][1]))
-        elif named and named[0]:
-            header, names = comments[0]
+    header, names, units, start = _header(rows, dialect, first, pattern)
+    if header < 0:
+        # Comments directly above, each of which names every column, or states its unit.
+        said = {first: rows[first]}
+        above = [place for place in range(first) if lines[place].strip()]
+        while above and (sign := dialect.comment(lines[above[-1]])):
+            names = _joined(dialect.fields(lines[above[-1]][sign.end() :]), dialect, width)
+            if len(names) != width:
+                break
+            said = {above.pop(): names} | said
+        header, names, units, _ = _header(said, dialect, first, pattern)
+        # Rows of numbers above the first that fits, or of its width, are no preamble.
+        start = next(
+            place
+            for place, kind in kinds.items()
+            if place == first
+            or (place > header and "T" not in kind and kind.strip("M"))
+            or (place > header and len(kind) == width and kind[0] in "NSD")
+        )
     names = _without_empty_end(names)
-    if len(names) == width + 1 > 2:
-        # What the row is, before its names, or a column of remarks that stayed empty.
-        before, behind = names[0].lower() in ROWS, names[-1].lower() in REMARKS
-        names = names[1:] if before else names[:-1] if behind else names
+    # A column of remarks that stayed empty.
+    if len(names) == width + 1 > 2 and names[-1].lower() in REMARKS:
+        names = names[:-1]
     names = _joined(names, dialect, width)
     if names and set(pattern[len(names) :]) == {"M"}:
         names = [*names, *[""] * (width - len(names))]
-    # Rows of numbers above the first that fits are none to skip: the dialect is another one.
-    data = [k for place, k in kinds.items() if place >= start or ("D" in k and "T" not in k)]
-    ragged = sum(len(kind) != len(pattern) for kind in data) / len(data)
-    texts = sum(map(_texts, data)) / max(sum(map(len, data)), 1)
-    filled = len(pattern.rstrip("M"))
-    return Layout(dialect, names, units, start, width, filled, header, ragged + texts)
+    data = [kind for place, kind in kinds.items() if place >= start]
+    ragged = sum(len(kind) != width for kind in data) / len(data)
+    texts = sum(map(_texts, data)) / sum(map(len, data))
+    return Layout(dialect, names, units, start, pattern, header, ragged + texts, kinds)
 
 
 def _texts(kind: str) -> int:
@@ -375,53 +290,51 @@ def _texts(kind: str) -> int:
 
 
 def _header(
-    rows: dict[int, list[str]], kinds: dict[int, str], first: int, pattern: str
-) -> tuple[int | None, list[str], int]:
-    """Line of the names, the units by position, and the line where data begins."""
+    rows: dict[int, list[str]], dialect: Dialect, first: int, pattern: str
+) -> tuple[int, list[str], list[str], int]:
+    """Line of the names, -1 for none; names and units by position; the line where data begins."""
     preceding = [place for place in reversed(rows) if place < first]
+    kinds = {place: kinds_of(rows[place], dialect.decimal) for place in preceding}
     width = len(pattern)
-    filled = {place: len(_without_empty_end(rows[place])) for place in preceding}
     # A word alone, such as DATA or [data], heads a table and names no column of several.
     while (
         width > 1
         and len(preceding) > 1
-        and filled[preceding[0]] == 1
+        and kinds[preceding[0]].rstrip("M") == "T"
         and not is_known(bare_unit(rows[preceding[0]][0]))
     ):
         del rows[preceding.pop(0)]
 
     def is_as_wide(place: int) -> bool:
         # A delimiter at the end of a row makes no column.
-        return width in (filled[place], len(rows[place])) or {*pattern[filled[place] :]} == {"M"}
+        filled = len(kinds[place].rstrip("M"))
+        return width in (filled, len(kinds[place])) or {*pattern[filled:]} == {"M"}
 
-    above = [*itertools.takewhile(is_as_wide, preceding)]
     # Where no row above is as wide, the last one tells how many names there are instead.
-    above = above or preceding[:1]
-    # A row that is partly numbers below a row of names is data that went wrong, not a header.
-    fallback = [place for place in above if "T" in kinds[place]]
-    texts = [place for place in fallback if not set(kinds[place]) & {"N", "S"}]
-    if not fallback:
-        return None, [], first
+    above = [*itertools.takewhile(is_as_wide, preceding)] or preceding[:1]
+    units = [place for place in above if _is_unit_row(rows[place])]
+    # A row that begins with a number is data that went wrong, not a header.
+    said = [p for p in above if p in units or ("T" in kinds[p] and kinds[p][0] not in "NS")]
+    # So is one that is partly numbers below a row of names.
+    texts = [place for place in said if not {*kinds[place]} & {*"NS"}]
+    if not said:
+        return -1, [], [], first
     # Below a row of units there may be one of sensors, or of how values were taken.
-    if len(texts) > 2 and [_is_unit_row(rows[place]) for place in texts[:2]] == [False, True]:
-        above = [place for place in above if place < texts[0]]
-        del rows[texts.pop(0)]
-    named = stated = (texts or fallback)[0]
-    below = [place for place in above if place > named]
-    # Above units, names may be numbers, as of channels 1 and 2.
-    upper = next((place for place in fallback if place < named), None)
-    units: list[str] = []
-    if below and _is_unit_row(rows[below[-1]]):
-        stated, units = below[-1], rows[below[-1]]
-    elif upper is not None and len(rows[upper]) == len(rows[named]) and _is_unit_row(rows[named]):
-        named, units = upper, rows[named]
-    return named, list(map(bare_unit, units)), min(place for place in rows if place > stated)
+    unit = next((place for place in said[:2] if place in units and place != said[-1]), None)
+    if unit is None:
+        named = stated = (texts or said)[0]
+        stated_units = []
+    else:
+        named, stated = said[said.index(unit) + 1], max(unit, *texts[:1])
+        stated_units = [bare_unit(text) for text in rows[unit]]
+    return named, rows[named], stated_units, min(place for place in rows if place > stated)
 
 
 def _is_unit_row(fields: list[str]) -> bool:
     """Whether all fields are units, or most of them below one of time, which no name is."""
-    # In brackets anything is a unit, and no name.
-    known = [f in ("", *PLACES) or is_known(f) or BRACKETS.fullmatch(f) for f in fields]
+    # In brackets anything is a unit, and no name; Campbell's TOA5 has TS and RN for those of a time
+    # stamp and of a record's number.
+    known = [f in ("", "TS", "RN") or is_known(f) or BRACKETS.fullmatch(f) for f in fields]
     timed = bare_unit(fields[0]).lower() in SECONDS and sum(map(bool, known)) > len(fields) / 2
     return any(fields) and (all(known) or timed)
 
@@ -437,35 +350,118 @@ def _joined(names: list[str], dialect: Dialect, width: int) -> list[str]:
     return re.findall(r"\S+(?: [\[(]\S*)*", " ".join(names))
 
 
-SAMPLE = 2**16
-"""Bytes at the start of a file on which its dialect is decided."""
+MOSTLY = 0.9
+"""Share of numbers in a column from which a text in it is an error, not a sign of a text column."""
+SAMPLE, MOST_LINES, FEWEST_LINES = 2**16, 400, 6
+"""Bytes and lines at the start of a file on which its dialect is decided, at the most, but for as
+many lines at the least."""
 LONGEST_LINE = 2**22
 """Bytes of a line past which a file is no table."""
-FEWEST_LINES, MOST_LINES = 6, 400
-"""Lines on which the dialect is decided."""
+
+
+class _Misfit(DataError):
+    """A row, by its line, that the dialect of the rows above does not fit."""
+
+    def __init__(self, line: int, message: str):
+        self.line = line
+        super().__init__(message)
 
 
 class Table(NamedTuple):
-    """A text file's rows below the header, their layout, and how the decimal sign was found.
+    """A text file's rows below the header.
 
-    `body` is in UTF-8, comments blanked.
+    **Fields:** `content` in UTF-8, comments blanked; `place` of the first row's first byte;
+    `layout`; `comments`, how many.
     """
 
-    body: bytes
+    content: bytes
+    place: int
     layout: Layout
-    decimal_given: bool
-
-    def line_of(self, row: int) -> int:
-        """The line, counted from 1 as in an editor, of a row counted from 0."""
-        return next(line for place, (line, _) in enumerate(self.rows()) if place == row)
+    comments: int
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Line number and fields of each row that is not blank; slow, for messages only."""
-        text = io.StringIO(self.body.decode(), newline="\n")
+        """Line, from 1, and fields of each row that is not blank; slow, for messages only."""
+        text = io.StringIO(self.content[self.place :].decode(), newline="\n")
         reader = csv.reader(text, delimiter=self.layout.dialect.delimiter)
         for fields in reader:
             if fields or self.layout.width == 1:
                 yield self.layout.start + reader.line_num, fields
+
+    def parsed(self) -> Any:
+        """The fields of all rows, a column of floats where PyArrow takes all of it for numbers.
+
+        **Raises:** `DataError` for rows of unequal length, and for quotes around line ends.
+        """
+        (delimiter, decimal), width = self.layout.dialect, self.layout.width
+        is_quoted = self.content.find(b'"', self.place) >= 0
+        rows = self.content[self.place :].split(b"\n") if is_quoted else []
+        texts = {str(place): pa.string() for place in range(width)}
+        numbers = {k: pa.float64() for k, kind in zip(texts, self.layout.pattern) if kind in "NM"}
+        failed = "quotes in it go on over line ends."
+        for types in (texts | numbers, texts):
+            try:
+                table = pa_csv.read_csv(
+                    pa.BufferReader(pa.py_buffer(self.content).slice(self.place)),
+                    # Blocks that hold the longest line are also fast.
+                    pa_csv.ReadOptions(column_names=[*texts], block_size=2 * LONGEST_LINE),
+                    pa_csv.ParseOptions(
+                        delimiter=delimiter,
+                        newlines_in_values=is_quoted,
+                        # In a single column a blank line is a gap.
+                        ignore_empty_lines=width > 1,
+                    ),
+                    pa_csv.ConvertOptions(
+                        column_types=types,
+                        null_values=literals.MISSING,
+                        strings_can_be_null=True,
+                        decimal_point=decimal,
+                    ),
+                )
+            except pa.ArrowInvalid as error:
+                failed = first_sentence(error)
+            else:
+                if table.num_rows >= sum(map(bool, rows)):
+                    return table
+        with contextlib.suppress(csv.Error):
+            for line, fields in self.rows():
+                if any("\n" in field for field in fields):
+                    raise DataError(
+                        f"line {line}: a text in quotes goes on from a line above; take off the"
+                        " quotes, or the line ends in them."
+                    )
+                if len(fields) != width:
+                    raise _Misfit(
+                        line,
+                        f"line {line} has {len(fields)} values for {width} columns; take off that"
+                        " line, correct it, or name the delimiter (on the command line:"
+                        " --delimiter).",
+                    )
+        raise DataError(failed)
+
+
+def table_of(content: bytes, head: list[bytes], found: Layout) -> Table:
+    """The rows below the header in this layout, of which `head` holds the first lines."""
+    dialect, place, comments = found.dialect, sum(map(len, head[: found.start])), 0
+
+    def holds(*signs: bytes) -> bool:
+        # To search for a byte is so much faster than for two, or a pattern, that clean files pay
+        # nothing.
+        return any(content.find(s[:1], place) >= 0 and content.find(s, place) >= 0 for s in signs)
+
+    # Comments are blanked so that lines keep their numbers.
+    if holds(*(sign.partition("(")[0].encode() for sign in dialect.comments)):
+        pattern = rf"(?m)^[ \t]*(?:{'|'.join(dialect.comments)})[^\n]*".encode()
+        (content, comments), place = re.subn(pattern, b"", content[place:]), 0
+    if dialect.delimiter == " ":
+        content, place = content[place:].replace(b"\t", b" "), 0
+        while b"  " in content:
+            content = content.replace(b"  ", b" ")
+        content = content.replace(b"\n ", b"\n").replace(b" \n", b"\n").strip(b" ")
+    elif dialect.delimiter != "\t" and holds(b" ", b"\t") and holds(b"\n ", b"\n\t"):
+        content, place = re.sub(rb"(?m)^[ \t]+$", b"", content[place:]), 0
+    if found.width == 1:
+        content = content.rstrip(b"\n")
+    return Table(content, place, found, comments)
 
 
 def read_delimited(
@@ -476,18 +472,16 @@ def read_delimited(
 ) -> Channels:
     """Read a text file of columns.
 
-    Delimiter, decimal sign, header, a row of units, comments, lines above the header and quotes
-    around rows are recognised; what could be read in two ways is refused. Columns without a header
-    are called `column 1`, `column 2`, ..., or by `columns`, and those of one name `x #1`, `x #2`,
-    ...
+    Delimiter, decimal sign, header, a row of units, comments and lines above the header are
+    recognised; what could be read in two ways is refused. Columns without a header are called
+    `column 1`, `column 2`, ..., or by `columns`.
 
     **Raises:** `DataError` naming the line and the text that is no number, for rows of unequal
-    length, and for files that are not text or have no samples.
+    length, for two columns of one name, and for files that are not text or have no samples.
     """
     content, notes = as_utf8(file.read_bytes())
-    content, taken_off, units = plain_rows(content)
-    table = read_table(content, delimiter, decimal, columns, units)
-    return replace(table, notes=notes + taken_off + table.notes)
+    table = read_table(content, delimiter, decimal, columns)
+    return replace(table, notes=notes + table.notes)
 
 
 def read_table(
@@ -495,190 +489,110 @@ def read_table(
     delimiter: str | None,
     decimal: str | None,
     columns: Sequence[str] = (),
-    units: Sequence[str] = (),
 ) -> Channels:
-    """Read a table in text, in UTF-8 with lines ended by `\\n`; see [`read_delimited`][].
-
-    **Arguments:** `units` by position, where the table has no row of them.
-    """
-    end = SAMPLE
-    most = min(len(content), FEWEST_LINES * LONGEST_LINE)
-    while end < most and content.count(b"\n", 0, end) < FEWEST_LINES:
-        end *= 4
-    lines = content[:end].decode(errors="replace").split("\n")
-    if max(map(len, lines)) > LONGEST_LINE:
-        raise DataError(
-            f"a line has more than {LONGEST_LINE} characters; the file is no table of numbers."
-        )
-    lines = (lines if end >= len(content) else lines[:-1])[:MOST_LINES]
-    found = layout(lines, delimiter, decimal, columns)
+    """Read a table in text, in UTF-8 with lines ended by `\\n`; see [`read_delimited`][]."""
+    stream = io.BytesIO(content)
+    head = [*stream.readlines(SAMPLE), *itertools.islice(stream, FEWEST_LINES)][:MOST_LINES]
+    lines = [line.rstrip(b"\n").decode(errors="replace") for line in head]
+    found, notes = layout(lines, delimiter, decimal, columns), []
     check_declared(found.width)
-    notes = []
     last = content[content.rfind(b"\n") + 1 :].decode()
-    if last.strip() and not found.dialect.comment(last):
-        fields = found.dialect.fields(last)
-        if len(fields) < found.width and kinds_of(fields[:1], found.dialect.decimal) != "T":
-            content = content[: -len(last.encode())]
-            notes.append("the last line is cut off and left out")
-    # Comments are blanked so that lines keep their numbers. To search for a byte is so much faster
-    # than for a pattern that clean files pay nothing.
-    body, comments = content.split(b"\n", found.start)[-1], 0
-    signs = found.dialect.comment_signs.encode()
-    if any(sign in body for sign in signs.split(b"|")):
-        body, comments = re.subn(rb"(?m)^[ \t]*(?:" + signs + rb")[^\n]*", b"", body)
-    if found.dialect.delimiter == " ":
-        body = re.sub(rb"[ \t]+", b" ", body)
-        body = re.sub(rb"(?m)^ | $", b"", body)
-    elif found.dialect.delimiter != "\t" and (b"\n " in body or b"\n\t" in body):
-        body = re.sub(rb"(?m)^[ \t]+$", b"", body)
-    if found.width == 1:
-        body = body.rstrip(b"\n")
-    table = Table(body, found, decimal is not None)
-    keys = [str(place) for place in range(found.width)]
+    fields = found.dialect.fields(last)
+    is_row = last.strip() and not found.dialect.comment(last)
+    if is_row and len(fields) < found.width and kinds_of(fields[:1], found.dialect.decimal) != "T":
+        content = content[: -len(last.encode())]
+        notes.append("the last line is cut off and left out")
     try:
-        parsed = pa_csv.read_csv(
-            pa.BufferReader(body),
-            read_options=pa_csv.ReadOptions(column_names=keys, block_size=2 * LONGEST_LINE),
-            parse_options=pa_csv.ParseOptions(
-                delimiter=found.dialect.delimiter,
-                newlines_in_values=b'"' in body,
-                # In a single column a blank line is a gap.
-                ignore_empty_lines=found.width > 1,
-            ),
-            convert_options=pa_csv.ConvertOptions(
-                column_types=dict.fromkeys(keys, pa.string()), strings_can_be_null=False
-            ),
-        )
-    except pa.ArrowInvalid as error:
-        with contextlib.suppress(csv.Error):
-            if ragged := next((row for row in table.rows() if len(row[1]) != found.width), None):
-                raise DataError(
-                    f"line {ragged[0]} has {len(ragged[1])} values for {found.width} columns; take"
-                    " off that line, or correct it."
-                ) from None
-        raise DataError(first_sentence(error)) from None
-    # A spreadsheet takes what follows this mark for a text and no formula.
-    names = [re.sub(r"(^|[;|,\t]\s*)'(?=[=+@-])", r"\1", name) for name in found.names]
-    filled = len(_without_empty_end(names))
-    names[:filled] = [name or NUMBERED.format(k + 1) for k, name in enumerate(names[:filled])]
-    names, kept, numbered = distinct(names, parsed)
-    read = _columns(table, parsed.select(kept), names)
-    stated = {name: unit for name in names if (unit := split_unit(name)[1])}
-    by_place = found.units or units
-    for name, place in zip(names, kept):
-        unit = by_place[place] if place < len(by_place) else ""
-        other = stated.get(name, "")
-        both = f"{other} or {unit}" if contradict(other, unit) else unit
-        stated |= {name: both} if unit else {}
+        table = table_of(content, head, found)
+        read = _columns(table, decimal is not None, surely=False)
+    except _Misfit as misfit:
+        # Decided anew with rows from there on, fewer than the first ones, at lines of their own.
+        line, count = max(misfit.line - 1, len(lines)), len(lines) // 2
+        more = [row.decode() for row in content.split(b"\n", line + count)[line:][:count]]
+        gap = [""] * (line - len(lines))
+        sign = delimiter or (found.dialect.delimiter if found.width > 1 else None)
+        found = layout([*lines, *gap, *more], sign, decimal, columns)
+        if found.start >= len(lines):
+            raise
+        table = table_of(content, head, found)
+        read = _columns(table, decimal is not None, surely=True)
     sign, header = found.dialect.delimiter, found.header
-    above = sum(bool(line.strip()) for line in lines[: max(header, 0)])
+    above = sum(bool(line.strip()) for line in lines[: found.start if header < 0 else header])
+    what = "numbers" if header < 0 else "column names"
     decided = {
         f"delimiter {NAMES.get(sign, sign)}": sign != "," and delimiter is None,
         "decimal comma": found.dialect.decimal == ",",
         "columns without names, called by their number": header < 0 and not columns,
-        f"{above} line{'s' * (above > 1)} above the column names skipped": above,
-        "column names taken from a comment": header >= 0
-        and Dialect(",", ".").comment(lines[header]),
+        f"{above} line{'s' * (above > 1)} above the {what} skipped": above,
+        "column names taken from a comment": header >= 0 and header not in found.kinds,
         "units taken from the row below the column names": found.units,
-        f"{comments} comment line{'s' * (comments > 1)} skipped": comments,
+        f"{table.comments} comment line{'s' * (table.comments > 1)} skipped": table.comments,
     }
-    notes = [*(note for note, holds in decided.items() if holds), *read.notes, *notes, *numbered]
-    stated = {name: unit for name, unit in (stated | read.units).items() if name in read.columns}
-    whole = replace(read, units=stated, notes=notes)
+    notes = [*(note for note, holds in decided.items() if holds), *read.notes, *notes]
+    whole = replace(read, notes=notes)
     whole.note_left_out("column")
     return whole
 
 
-def _columns(table: Table, parsed: Any, names: list[str]) -> Channels:
-    """Columns of numbers and of time stamps, and the others with the reason."""
+def _names(found: Layout) -> list[str]:
+    """Names of all columns; empty behind the last one. **Raises:** `DataError` for two of one."""
+    # A spreadsheet takes what follows this mark for a text and no formula.
+    names = [re.sub(r"(^|[;|,\t]\s*)'(?=[=+@-])", r"\1", name) for name in found.names]
+    filled = len(_without_empty_end(names))
+    names[:filled] = [name or NUMBERED.format(k + 1) for k, name in enumerate(names[:filled])]
+    if twice := [name for name, count in Counter(names[:filled]).items() if count > 1]:
+        raise DataError(
+            f"two columns are called '{twice[0]}'; name all columns (on the command line: --columns"
+            " A,B,...)."
+        )
+    return names
+
+
+def _columns(table: Table, decimal_given: bool, surely: bool) -> Channels:
+    """Columns of numbers and of time stamps, and the others with the reason.
+
+    **Arguments:** `surely`: whether a text where the first rows have a number is an error, and no
+    sign of another dialect.
+    """
+    parsed, found = table.parsed(), Channels({})
     if not parsed.num_rows:
         raise DataError("there are no samples below the column names.")
-    texts = {
-        name: literals.stripped(parsed.column(place)) for place, name in enumerate(names) if name
-    }
-    for place, name in enumerate(names):
-        if not name and literals.stripped(parsed.column(place)).null_count < parsed.num_rows:
-            raise DataError(f"{len(texts)} column names but {len(names)} columns of numbers.")
-    found, how = Channels({}), (table.layout.dialect.decimal, table.decimal_given)
-    # Commas that may all separate thousands as well as decimals are refused.
-    doubtful = None
-    for text in texts.values() if how == (",", False) else ():
-        with_comma = compute.and_(
-            literals.is_numeric(text, *how), compute.match_substring(text, ",")
-        )
-        grouped = compute.match_substring_regex(text, literals.GROUPED["."])
-        if compute.any(compute.and_not(with_comma, grouped)).as_py():
-            break
-        if doubtful is None and compute.any(with_comma).as_py():
-            doubtful = with_comma.to_pylist().index(True), text
-    else:
-        if doubtful:
-            row, text = doubtful
-            raise DataError(
-                f"line {table.line_of(row)}: {text[row].as_py()!r} has a decimal comma or"
-                " commas between thousands; pass decimal=',' or decimal='.'."
-            )
-    for name, text in texts.items():
-        values = literals.numbers(text, *how)
+    names, how = _names(table.layout), (table.layout.dialect.decimal, decimal_given)
+    units = itertools.chain(table.layout.units, itertools.repeat(""))
+    for name, unit, kind, text in zip(names, units, table.layout.pattern, parsed.columns):
+        values, behind = literals.measured(text, *how)
+        if not name and (values is None or not np.isnan(values).all()):
+            raise DataError("there are columns of numbers without a name.")
+        if not name:
+            continue
         if values is not None:
-            found.take(name, values)
-        elif not _first_other(table, literals.are_stamps(text), text):
+            stated, unit = split_unit(name)[1] or "", behind or unit
+            both = f"{stated} or {unit}" if contradict(stated, unit) else unit or stated
+            found.take(name, values, both)
+            continue
+        text = literals.stripped(text)
+        stamps, numeric = literals.are_stamps(text), literals.is_numeric(text, *how)
+        if literals.all_true(stamps):
             first = next((stamp.as_py() for stamp in text if stamp.is_valid), "the first")
             found.take(name, literals.seconds(text), "s")
             found.notes.append(f"column '{name}': time stamps, as seconds from {first}")
-        else:
-            other = _first_other(table, literals.is_numeric(text, *how), text)
-            found.left_out[name] = f"it holds text, {other}"
+            continue
+        best = max(numeric, stamps, key=lambda valid: compute.mean(valid).as_py())
+        row = best.to_pylist().index(False)
+        said = repr(text[row].as_py()[:40])
+        line, _ = next(itertools.islice(table.rows(), row, None))
+        message = (
+            f"line {line}: {said} is not a number; take off that line, correct it, leave the field"
+            " empty, or name the decimal sign (on the command line: --decimal)."
+        )
+        if kind in "NM" and not surely:
+            raise _Misfit(line, message)
+        is_other = kind == "N" and kinds_of([text[row].as_py()], how[0]) == "D"
+        if is_other or compute.mean(best).as_py() >= MOSTLY:  # of those that are not null
+            raise DataError(message)
+        found.left_out[name] = f"it holds text, {said} on line {line}"
     # Spreadsheets leave empty rows at the end.
-    is_filled = np.any([~np.isnan(v) for v in found.columns.values()] or [[True]], axis=0)
-    stop = np.flatnonzero(is_filled)[-1] + 1 if is_filled.any() else None
+    empty = [np.isnan(values) for values in found.columns.values()] or [np.zeros(1)]
+    filled = np.flatnonzero(~np.logical_and.reduce(empty))
+    stop = filled[-1] + 1 if filled.size else None
     return replace(found, columns={name: v[:stop] for name, v in found.columns.items()})
-
-
-def _first_other(table: Table, valid: Any, text: Any) -> str:
-    """The first text that is not valid, and its line; up to a tenth of such raise an error."""
-    if literals.all_true(valid):
-        return ""
-    row = valid.to_pylist().index(False)
-    said, line = repr(text[row].as_py()[:40]), table.line_of(row)
-    if compute.mean(valid).as_py() >= MOSTLY:  # of those that are not null
-        raise DataError(
-            f"line {line}: {said} is not a number; take off that line, correct it, or leave the"
-            " field empty."
-        )
-    return f"{said} on line {line}"
-
-
-def distinct(names: list[str], table: Any) -> tuple[list[str], list[int], list[str]]:
-    """Names of a table's columns (PyArrow), which of them to read, and what was decided.
-
-    Of columns with one name and the same content, the first is read; others get a number: `x #1`,
-    `x #2 [mm]`.
-
-    **Raises:** `DataError` for two times of one name that differ, as nothing tells which signals
-    are of which.
-    """
-    kept: list[int] = []
-    for place, name in enumerate(names):
-        same = (other for other in kept if name and names[other] == name)
-        if not any(table.column(place).equals(table.column(other)) for other in same):
-            kept.append(place)
-    count = Counter(names[place] for place in kept)
-    twice = [name for name, times in count.items() if name and times > 1]
-    if times := [name for name in twice if is_called_time(name, {})]:
-        raise DataError(
-            f"two columns are called '{times[0]}' and differ; name all columns (on the command"
-            " line: --columns A,B,...)."
-        )
-    seen: Counter[str] = Counter()
-    found = []
-    for place in kept:
-        name, (bare, unit) = names[place], split_unit(names[place])
-        seen[name] += 1
-        number = f"{bare} #{seen[name]}" + (f" [{unit}]" if unit else "")
-        found.append(number if name in twice else name)
-    check_declared(names=filter(None, found))
-    notes = [f"columns called '{name}' are numbered" for name in twice]
-    if len(kept) < len(names):
-        notes.append(f"{len(names) - len(kept)} copies of columns left out")
-    return found, kept, notes

@@ -1,7 +1,6 @@
 """What texts say: numbers, dates and clocks, one by one and by the column."""
 
 import contextlib
-import functools
 import itertools
 import re
 from typing import Any
@@ -12,35 +11,40 @@ import pyarrow.compute
 
 from riecjax.errors import DataError
 from riecjax.records.reading.times import unwrapped
-from riecjax.records.reading.units import DAY, HOUR, MINUTE
+from riecjax.records.reading.units import DAY, HOUR, MINUTE, is_known
 
 MISSING = ("", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "<NA>", "null", "NULL", "Null",
            "None", "none", "-nan", "nan(ind)", "-nan(ind)", "NaT", "missing", "NO DATA", "No Data",
            "OVER", "Over", "OVLD", "OVERLOAD", "Overload", "OVERRANGE", "OverRange", "OVERFLOW",
            "Overflow", "+OVER", "-OVER", "OL", "+OL", "-OL")  # fmt: skip
 """What loggers and spreadsheets write where there is no value, or one past the sensor's range."""
-_NOTHING = (
-    r"-+|\*+|[+-]?1\.#(?:QNAN|SNAN|IND|INF)0*|#(?:N/A|DIV/0!|VALUE!|NUM!|REF!|NAME\?|NULL!)|#+"
-)
+NO_RESULT = r"#(?:N/A|DIV/0!|VALUE!|NUM!|REF!|NAME\?|NULL!)"
+"""What spreadsheets write for the value of a formula that has none."""
 _EXPONENT = r"(?:[eEdD][+-]?\d+)?"
-_INFINITE = r"[+-]?(?:[iI]nf(?:inity)?|INF)"
-# Thousands and a fraction: either sign can be only what it is.
-_POINTED = r"[+-]?[1-9]\d{0,2}(?:,\d{2,3})*,\d{3}\.\d+"
-_COMMAED = r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+,\d+"
+_BETWEEN = "['\N{RIGHT SINGLE QUOTATION MARK}\N{NARROW NO-BREAK SPACE}\xa0\x92]"
+"""What separates thousands, and nothing else."""
+# With a fraction the other sign can be only what separates thousands.
 NUMBER = {
-    ".": rf"^(?:[+-]?(?:\d+\.?\d*|\.\d+){_EXPONENT}|{_POINTED}|{_INFINITE})$",
-    # Digits on both sides: a comma at the end of a field is a delimiter.
-    ",": rf"^(?:[+-]?\d+(?:,\d+)?{_EXPONENT}|{_COMMAED}|{_INFINITE})$",
+    sign: rf"^(?:[+-]?(?:\d+\{sign}?\d*|\{sign}\d+){_EXPONENT}"
+    rf"|[+-]?\d{{1,3}}(?:{_BETWEEN}\d{{3}})+(?:\{sign}\d+)?"
+    rf"|[+-]?[1-9]\d{{0,2}}(?:\{other}\d{{2,3}})*\{other}\d{{3}}\{sign}\d+"
+    r"|[+-]?(?:[iI]nf(?:inity)?|INF))$"
+    for sign, other in (".,", ",.")
 }
 """A number by its decimal sign."""
 GROUPED = {
-    ".": r"^[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?$",
-    ",": r"^[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d*)?$",
+    sign: rf"^[+-]?[1-9]\d{{0,2}}(?:\{other}\d{{3}})+(?:\{sign}\d*)?$"
+    for sign, other in (".,", ",.")
 }
 """A number with its digits grouped in thousands, by its decimal sign."""
+_MEASURED = r"^(?P<number>[+-]?[\d.,]*\d(?:[eE][+-]?\d+)?) ?(?P<unit>[^\s\d,;.+-][^,;\t]*)$"
+"""A number and its unit."""
+_NOTHING = (
+    rf"^(?:{'|'.join(map(re.escape, MISSING))}"
+    rf"|-+|\*+|[+-]?1\.#(?:QNAN|SNAN|IND|INF)0*|{NO_RESULT}|#+)$"
+)
 _NUMBER = {sign: re.compile(pattern) for sign, pattern in NUMBER.items()}
-_MISSING_PATTERN = f"^(?:{'|'.join(map(re.escape, MISSING))}|{_NOTHING})$"
-_MISSING = re.compile(_MISSING_PATTERN)
+_MISSING, _WITH_UNIT = re.compile(_NOTHING), re.compile(_MEASURED)
 
 
 compute: Any = pyarrow.compute
@@ -51,32 +55,41 @@ def stripped(text: Any) -> Any:
     """A column of strings (PyArrow) without white space around, null where a value is missing."""
     text = compute.utf8_trim_whitespace(text)
     # No list of words and no scalar: for these PyArrow imports pandas, where there is one.
-    missing = compute.match_substring_regex(text, _MISSING_PATTERN)
+    missing = compute.match_substring_regex(text, _NOTHING)
     return compute.if_else(missing, pa.nulls(1, pa.string())[0], text)
 
 
 def numbers(text: Any, decimal: str, grouped: bool) -> np.ndarray | None:
-    """A column of stripped strings as floats, NaN for null; `None` if some are no numbers.
+    """A column of strings, or of floats, as floats, NaN for null; `None` if some are no numbers.
 
     `grouped`: the other sign may separate thousands.
     """
-    plain = text
-    if decimal == ",":
-        if compute.any(compute.match_substring(text, ".")).as_py():
-            if not all_true(is_numeric(text, decimal, grouped)):
-                return None
-            plain = compute.replace_substring(plain, ".", "")
-        plain = compute.replace_substring(plain, ",", ".")
-    try:
-        return floats(compute.cast(plain, pa.float64()))
-    except pa.ArrowInvalid:
-        pass
+    if text.type == pa.float64():
+        return floats(text)
+    if decimal == "." or not compute.any(compute.match_substring(text, ".")).as_py():
+        with contextlib.suppress(pa.ArrowInvalid):
+            return _cast(text if decimal == "." else compute.replace_substring(text, ",", "."))
+    text = stripped(text)
     if not all_true(is_numeric(text, decimal, grouped)):
         return None
-    # What is a number but not to PyArrow: a plus sign, Fortran's exponents, thousands.
-    for pattern, sign in ((r"^\+", ""), ("[dD]", "e"), (",", "")):
-        plain = compute.replace_substring_regex(plain, pattern, sign)
-    return floats(compute.cast(plain, pa.float64()))
+    # What is a number but not to PyArrow: thousands, a plus sign, Fortran's exponents.
+    other = "," if decimal == "." else "."
+    for pattern, sign in ((rf"\{other}|{_BETWEEN}|^\+", ""), (",", "."), ("[dD]", "e")):
+        text = compute.replace_substring_regex(text, pattern, sign)
+    return _cast(text)
+
+
+def measured(text: Any, decimal: str, grouped: bool) -> tuple[np.ndarray | None, str]:
+    """A column of strings as [`numbers`][], and the one unit behind all of them, or none."""
+    if (plain := numbers(text, decimal, grouped)) is not None:
+        return plain, ""
+    text = stripped(text)
+    found = compute.extract_regex(text, _MEASURED)
+    number, behind = found.flatten()
+    units = compute.unique(compute.drop_null(behind)).to_pylist()
+    if found.null_count > text.null_count or len(units) != 1 or not is_known(units[0]):
+        return None, ""
+    return numbers(number, decimal, grouped), units[0]
 
 
 def is_numeric(text: Any, decimal: str, grouped: bool) -> Any:
@@ -95,8 +108,14 @@ _NAN = pa.Array.from_buffers(pa.float64(), 1, [None, pa.py_buffer(np.full(1, np.
 
 def floats(column: Any) -> np.ndarray:
     """A column of PyArrow's 64-bit floats, shape `(n,)`, NaN for null."""
-    whole = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
-    return np.array(np.from_dlpack(compute.coalesce(whole, _NAN)))
+    chunks = column.chunks if isinstance(column, pa.ChunkedArray) else [column]
+    filled = (compute.coalesce(chunk, _NAN) if chunk.null_count else chunk for chunk in chunks)
+    return np.concatenate([np.empty(0), *map(np.from_dlpack, filled)])
+
+
+def _cast(column: Any) -> np.ndarray:
+    """Strings or truth values as floats; `ArrowInvalid` for a string that is no number."""
+    return floats(compute.cast(column, pa.float64()))
 
 
 def all_true(mask: Any) -> bool:
@@ -105,39 +124,49 @@ def all_true(mask: Any) -> bool:
 
 
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
-_ZONE = r"(?:Z|z|(?:UTC|GMT)?[+-]\d{1,2}(?::?\d{2})?|UTC|GMT|[A-Z]{3,4})"
+_MONTH = rf"(?P<name>(?i:{'|'.join(_MONTHS)}))[a-z]*\.?"
+_ZONE = (
+    r"(?:Z|z|(?:UTC|GMT)?(?:\+|(?P<west>-))(?P<ahead>\d{1,2})(?::?(?P<more>\d{2}))?"
+    r"|UTC|GMT|[A-Z]{3,4})"
+)
 _DATES = (
     r"(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})",
     r"(?P<first>\d{1,2})[-/.](?P<second>\d{1,2})[-/.](?P<year>\d{4}|\d{2})",
-    r"(?P<day>\d{1,2})[- ](?P<name>[A-Za-z]{3})[a-z]*\.?[- ,]+(?P<year>\d{4}|\d{2})",
-    r"(?P<name>[A-Z][a-z]{2})[a-z]*\.? (?P<day>\d{1,2}), ?(?P<year>\d{4})",
+    rf"(?P<day>\d{{1,2}})[- ]{_MONTH}[- ,]+(?P<year>\d{{4}}|\d{{2}})",
+    rf"{_MONTH} (?P<day>\d{{1,2}}), ?(?P<year>\d{{4}})",
     r"(?P<year>\d{4})(?P<month>\d{2})(?P<day>\d{2})",
     r"(?P<days>\d+) days?",
     "",
 )
 _TIMES_OF_DAY = (
     r"(?P<hours>\d{1,4}):(?P<minutes>[0-5]?\d)"
-    r"(?::(?P<seconds>[0-5]?\d|60)(?P<fraction>[.,:]\d+|\.|,)?)?",
-    r"(?P<hours>\d\d)(?P<minutes>\d\d)(?P<seconds>\d\d)(?P<fraction>[.,]\d+)?",
+    r"(?::(?P<seconds>[0-5]?\d|60)(?:[.,:](?P<fraction>\d*))?)?",
+    r"(?P<hours>\d\d)(?P<minutes>\d\d)(?P<seconds>\d\d)(?:[.,](?P<fraction>\d+))?",
 )
 PATTERNS = (
     # ISO 8601 (also compact), or as spreadsheets and MATLAB write it; or a time of day, or an
     # elapsed one, alone.
     *(
-        rf"^(?:[A-Z][a-z]{{2}},? )?{date}[T ,]*{clock}\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
-        rf"\s*(?P<zone>{_ZONE})?(?:\[[^\]]*\])?$"
+        rf"^(?:[A-Z][a-z]{{2}},? )?{date}[T ,]*{clock}"
+        rf"\s*(?:(?:(?P<am>[Aa])|(?P<pm>[Pp]))\.?[Mm]\.?)?\s*{_ZONE}?(?:\[[^\]]*\])?$"
         for date, clock in itertools.product(_DATES, _TIMES_OF_DAY)
     ),
     # Minutes, seconds and their fraction, all that a spreadsheet's `mm:ss.0` shows of a time.
-    r"^(?P<minutes>[0-5]?\d):(?P<seconds>[0-5]\d)(?P<fraction>[.,]\d+)$",
+    r"^(?P<minutes>[0-5]?\d):(?P<seconds>[0-5]\d)[.,](?P<fraction>\d+)$",
     # Day of the year and time of day, as IRIG and recorders in flight tests have it.
     r"^(?P<days>[0-3]\d\d):(?P<hours>\d\d):(?P<minutes>[0-5]\d):(?P<seconds>[0-5]\d)"
-    r"(?P<fraction>[.,]\d+)$",
+    r"[.,](?P<fraction>\d+)$",
 )
-"""Time stamps."""
-_COMPILED = tuple(map(re.compile, PATTERNS))
+"""Time stamps; each group but `name` holds digits, or one sign."""
 _ANY = re.sub(r"\?P<\w+>", "", "|".join(PATTERNS))
 """The same as one, whose groups have no names, of which each may be there once."""
+_STAMP = re.compile(_ANY)
+
+
+def bare_number(field: str) -> str:
+    """A number without the unit behind it."""
+    found = _WITH_UNIT.fullmatch(field)
+    return found["number"] if found and is_known(found["unit"]) else field
 
 
 def kinds_of(fields: list[str], decimal: str) -> str:
@@ -146,10 +175,11 @@ def kinds_of(fields: list[str], decimal: str) -> str:
     other = "." if decimal == "," else ","
     # A number of 6 or 14 digits is a number.
     return "".join(
-        "M" if _MISSING.fullmatch(field)
-        else "N" if _NUMBER[decimal].fullmatch(field)
-        else "S" if _match(field)
+        "N" if _NUMBER[decimal].fullmatch(field)
+        else "M" if _MISSING.fullmatch(field)
         else "D" if _NUMBER[other].fullmatch(field)
+        else "N" if _NUMBER[decimal].fullmatch(bare_number(field))
+        else "S" if _STAMP.fullmatch(field)
         else "T"
         for field in fields
     )  # fmt: skip
@@ -170,22 +200,16 @@ def seconds(text: Any) -> np.ndarray:
 
     **Raises:** `DataError` for dates that do not exist, or that run back.
     """
-    matches = [None if stamp is None else _match(stamp) for stamp in text.to_pylist()]
-    stamps = [match and match.groupdict(default="") for match in matches]
-    days = _days(stamps)
-    dial = DAY if any(stamp and "hours" in stamp for stamp in stamps) else HOUR
-
-    def since(places: int) -> np.ndarray:
-        clock = np.array([_clock(stamp, places) if stamp else np.nan for stamp in stamps])
-        return unwrapped(clock, dial) if days is None else days * DAY + clock
-
-    found = since(0)
-    if _runs_back(found):
-        # Where the fraction has no leading zeros, `:5` and `:10` count thousandths.
-        places = max(len(stamp["fraction"] or ".") for stamp in stamps if stamp) - 1
-        counted = since(places)
-        found = found if _runs_back(counted) else counted
-    return found - _first(found)
+    parts = _parts(text)
+    days, clock = _days(parts), _clock(parts)
+    # Where the fraction has no leading zeros, `:5` and `:10` count thousandths.
+    counts = parts["count"] / 10 ** np.nanmax(parts["places"])
+    found: list[np.ndarray] = []
+    for fraction in (parts["fraction"], counts):
+        dial = DAY if "hours" in parts else HOUR
+        one = unwrapped(clock + fraction, dial) if days is None else days * DAY + (clock + fraction)
+        found.append(one - _first(one))
+    return next((one for one in found if not _runs_back(one)), found[0])
 
 
 def of_texts(values: Any) -> tuple[np.ndarray | None, str]:
@@ -210,65 +234,85 @@ def _runs_back(since: np.ndarray) -> bool:
     return bool((np.diff(since[~np.isnan(since)]) < 0).any())
 
 
-def _match(text: str) -> re.Match[str] | None:
-    return next(filter(None, (pattern.fullmatch(text) for pattern in _COMPILED)), None)
-
-
 def _first(values: np.ndarray) -> float:
-    known = values[~np.isnan(values)]
-    return known[0] if known.size else 0.0
+    return next(iter(values[~np.isnan(values)]), 0.0)
 
 
-def _days(stamps: list[dict[str, str] | None]) -> np.ndarray | None:
+def _parts(text: Any) -> dict[str, np.ndarray]:
+    """What stamps say, as numbers by the groups of [`PATTERNS`][], NaN where they say nothing.
+
+    The digits of a fraction are a `count` of that many `places` as well.
+    """
+    text = text.combine_chunks() if isinstance(text, pa.ChunkedArray) else text
+    parts: dict[str, np.ndarray] = {}
+    left = _cast(compute.is_valid(text)) > 0
+    while left.any():
+        sample = text[int(np.argmax(left))].as_py()
+        pattern = next(pattern for pattern in PATTERNS if re.match(pattern, sample))
+        found = compute.extract_regex(text, pattern)
+        here = left & (_cast(compute.is_valid(found)) > 0)
+        said = dict(zip(re.findall(r"P<(\w+)>", pattern), found.flatten(), strict=True))
+        said |= {"count": said["fraction"], "places": said["fraction"]}
+        for name, group in said.items():
+            values = _number(name, group)[here]
+            parts.setdefault(name, np.full(len(text), np.nan))[here] = values
+        left &= ~here
+    return parts
+
+
+def _number(name: str, group: Any) -> np.ndarray:
+    """Digits as numbers, names of months by their place from 1, signs by their number."""
+    for place, month in enumerate(_MONTHS if name == "name" else (), start=1):
+        group = compute.replace_substring_regex(group, f"(?i){month}", str(place))
+    if name in ("am", "pm", "west", "places"):
+        return _cast(compute.utf8_length(group))
+    zero = "0." if name == "fraction" else "0"
+    return _cast(compute.replace_substring_regex(group, "^", zero))
+
+
+def _days(parts: dict[str, np.ndarray]) -> np.ndarray | None:
     """Days since the first of each stamp, NaN for none; `None` for times of day alone."""
-    said = {part for stamp in stamps if stamp for part in stamp}
-    if not said & {"year", "days"}:
+    if not parts.keys() & {"year", "days"}:
         return None
-    # Elapsed times show no days where there are none.
-    dateless = np.nan if "year" in said else 0.0
-    orders = []
-    for day_first in (False, True) if "first" in said else (False,):
-        with contextlib.suppress(ValueError):
-            each = [_day(stamp, day_first, dateless) if stamp else np.nan for stamp in stamps]
-            days = np.array(each) - _first(np.array(each))
-            orders += [] if _runs_back(days) else [days]
+    if "year" not in parts:
+        # Elapsed times show no days where there are none.
+        orders = [np.where(np.isnan(parts["fraction"]), np.nan, np.nan_to_num(parts["days"]))]
+    elif "days" not in parts:
+        orders = [_since_1970(parts, "first", "second"), _since_1970(parts, "second", "first")]
+    else:
+        raise DataError("it holds both dates and days without a date.")
+    orders = [days - _first(days) for days in orders if days is not None and not _runs_back(days)]
     if not orders:
         raise DataError("it holds dates that do not exist, or that run back.")
     # Where both orders make sense, one passes midnight and the other leaps by a month.
     return min(orders, key=lambda days: days[~np.isnan(days)][-1])
 
 
-def _day(stamp: dict[str, str], day_first: bool, dateless: float) -> float:
-    """Days since 1970; of an elapsed time, its days.
+def _since_1970(parts: dict[str, np.ndarray], month_in: str, day_in: str) -> np.ndarray | None:
+    """Days since 1970, NaN for stamps without a date; `None` where a date does not exist."""
+    dated = ~np.isnan(parts["year"])
 
-    **Raises:** `ValueError` for a date that does not exist.
-    """
-    if "year" not in stamp:
-        return float(stamp.get("days", dateless))
-    year = int(stamp["year"]) + (2000 if len(stamp["year"]) == 2 else 0)
-    name = stamp.get("name", "").lower()
-    month, day = stamp.get("first", stamp.get("month")), stamp.get("second", stamp.get("day"))
-    if "first" in stamp and day_first:
-        month, day = day, month
-    return _days_since_1970(year, int(month or (*_MONTHS, name).index(name) + 1), int(day or 0))
+    def said(*names: str) -> np.ndarray:
+        each = [parts[name][dated] for name in names if name in parts]
+        return np.nansum(each, axis=0).astype(int)
+
+    years, months, days = said("year"), said("month", "name", month_in), said("day", day_in)
+    years = (years + 2000 * (years < 100) - 1970).astype("M8[Y]")
+    in_month = years.astype("M8[M]") + (months - 1)
+    in_day = in_month.astype("M8[D]") + (days - 1)
+    if (in_month.astype("M8[Y]") != years).any() or (in_day.astype("M8[M]") != in_month).any():
+        return None
+    found = np.full(dated.size, np.nan)
+    found[dated] = in_day.astype(float)
+    return found
 
 
-@functools.lru_cache
-def _days_since_1970(year: int, month: int, day: int) -> float:
-    return float(np.datetime64(f"{year:04d}-{month:02d}-{day:02d}", "D").astype(int))
-
-
-def _clock(stamp: dict[str, str], places: int = 0) -> float:
-    """Seconds of the day, as of UTC where the stamp states a zone's shift.
-
-    **Arguments:** `places`: of the fraction, where that is a count of its last one.
-    """
-    hours, minutes, full = (int(stamp.get(part) or 0) for part in ("hours", "minutes", "seconds"))
-    if half := stamp.get("half", "")[:1].lower():
-        hours = hours % 12 + (12 if half == "p" else 0)
-    since = HOUR * hours + MINUTE * minutes + full
+def _clock(parts: dict[str, np.ndarray]) -> np.ndarray:
+    """Whole seconds of the day, as of UTC where the stamp states a zone's shift."""
+    names = ("hours", "minutes", "seconds", "am", "pm", "west", "ahead", "more")
+    each = (np.nan_to_num(parts.get(name, np.zeros(1))) for name in names)
+    hours, minutes, full, am, pm, west, ahead, more = each
+    hours = np.where(am + pm > 0, hours % 12 + 12 * pm, hours)
     # How far a zone is ahead of UTC; one that is a name says nothing.
-    if ahead := re.search(r"([+-])(\d\d?):?(\d\d)?$", stamp.get("zone", "")):
-        since -= float(f"{ahead[1]}1") * (HOUR * int(ahead[2]) + MINUTE * int(ahead[3] or 0))
-    digits = stamp["fraction"][1:].zfill(places)
-    return since + (float(f"0.{digits}") if digits else 0.0)
+    shift = HOUR * ahead + MINUTE * more
+    return HOUR * hours + MINUTE * minutes + full - np.where(west > 0, -shift, shift)
