@@ -131,7 +131,7 @@ def table_in_brackets(file: Path, c: Texts) -> None:
     save(file, '[["t", "x", "u"],', *rows[:-1], rows[-1][:-1] + "]")
 
 
-@table(refused="name delimiter and decimal sign (on the command line: --delimiter")
+@table()
 def rows_in_quotes(file: Path, c: Texts) -> None:
     """A spreadsheet that took each line for one cell: quotes around every whole line."""
     save(file, *(f'"{row}"' for row in ["t,x,u", *lines(*c.values())]))

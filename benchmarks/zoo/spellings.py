@@ -121,14 +121,14 @@ def power_lost(file: Path) -> Truth:
     return {name: values[:-1] for name, values in truth.items()}
 
 
-@table(x=MM, refused="line 303: 't' is not a number; take off that line")
+@table(x=MM)
 def appended(file: Path, c: Texts) -> None:
     """A logger that writes its names again where it opens its file again."""
     rows, head = lines(*c.values()), ["t,x,u", "s,mm,N"]
     save(file, *head, *rows[:300], *head, *rows[300:])
 
 
-@table(names=dict(u="u"), refused="'Time'; name all columns (on the command line: --columns")
+@table(names=dict(u="u"))
 def repeated_columns(file: Path, c: Texts) -> None:
     """Two tables side by side, with the time in each and two channels of one name."""
     columns = (c["t"], c["x"], c["u"], c["t"], c["u"], c["x"])
@@ -162,7 +162,7 @@ def comments_of_names_and_units(file: Path, c: Texts) -> None:
     save(file, "# t x u", "# s mm N", *rows)
 
 
-@table(refused="name delimiter and decimal sign (on the command line: --delimiter")
+@table()
 def numbers_kept_from_excel(file: Path, c: Texts) -> None:
     """A web page's export: every number as `="0.5"`."""
     save(file, "t,x,u", *lines(*([f'="{text}"' for text in column] for column in c.values())))
@@ -193,7 +193,7 @@ def indian_thousands(file: Path) -> Truth:
     return {**truth, "pulses": 123456.75 + np.arange(COUNT)}
 
 
-@table(refused="save text as UTF-8")
+@table()
 def utf_32(file: Path, c: Texts) -> None:
     """UTF-32 with its mark."""
     save(file, "t,x,u", *lines(*c.values()), encoding="utf-32")
@@ -219,7 +219,7 @@ def two_runs_in_one_table(file: Path, c: Texts) -> None:
     save(file, "t,x,u", *lines(c["t"][:400] + c["t"][:401], c["x"], c["u"]))
 
 
-@table(refused="turn the rows round")
+@table()
 def newest_first(file: Path, c: Texts) -> None:
     """A web page's export: the newest row first."""
     save(file, "t,x,u", *lines(*c.values())[::-1])

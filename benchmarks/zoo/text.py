@@ -248,14 +248,7 @@ def units_behind_slashes(file: Path, c: Texts) -> None:
     save(file, "Zeit / s;Position / mm;Kraft / kN", *lines(*c.values(), sep=";"))
 
 
-@table(
-    suffix=".txt",
-    t="%.4E",
-    x="%+.7E",
-    u="%+.7E",
-    names=dict(x="ACH1", u="ACH2"),
-    refused="name the delimiter (on the command line: --delimiter)",
-)
+@table(suffix=".txt", t="%.4E", x="%+.7E", u="%+.7E", names=dict(x="ACH1", u="ACH2"))
 def hioki_txt(file: Path, c: Texts) -> None:
     """Hioki 8807, text: quoted key lines, names behind `"SIGNAL"`, numbers below `"DATA"`."""
     head = ['"COMMENT", "8807 MEM DATA"', '"DATE", "01-01-1999"', '"TIME", "15:26:55"',

@@ -86,7 +86,7 @@ LONG_ROWS = [f"{i / 8},{i},{2 * i}" for i in range(60)]
 ODD = {
     "rows in brackets": (["[" + row + "]" for row in LONG_ROWS], "Take off brackets and labels"),
     "a MATLAB matrix": (["x = [", *LONG_ROWS, "];"], "1 column names but 3 .*--columns"),
-    "a heading again": (["t,a,b", *LONG_ROWS, "t,a,b", *LONG_ROWS], "line 62: 't' is not a number"),
+    "another heading": (["t,a,b", *LONG_ROWS, "t,a,c", *LONG_ROWS], "line 62: 't' is not a number"),
     "means below": (["t,a,b", *LONG_ROWS, "Mean,1,2"], "line 62: 'Mean' is not a number; take off"),
     "a word among": (
         ["t,a,b", *LONG_ROWS, "6.0,1,abc"],
@@ -108,6 +108,16 @@ ODD = {
 def test_odd_text_is_refused_in_one_line_that_says_what_to_do(tmp_path, case):
     rows, words = ODD[case]
     assert re.search(words, message(tmp_path, "\n".join(rows) + "\n"))
+
+
+def test_names_again_and_columns_again(tmp_path):
+    """A logger that opens its file again, and tables side by side."""
+    rows = ["t,a,t,a", "s,mm,s,mm", *(f"{i},{i * i},{i},{-i}" for i in range(9))]
+    found = columns(tmp_path, "\n".join([*rows, *rows[:2], "9,81,9,-9"]) + "\n")
+    assert found.units == {"t": "s", "a": "mm", "a #2": "mm"}
+    assert found.columns["a #2"].tolist() == [-float(i) for i in range(10)]
+    assert "1 times the column names again, left out" in found.notes
+    assert "a copy of column 't' left out" in found.notes
 
 
 def test_only_a_last_line_that_is_not_ended_is_cut_off(tmp_path):
@@ -283,13 +293,12 @@ ERRORS = {
     "too few names": ("t,x\n0,1,5\n1,2,5\n", "2 column names but 3 columns"),
     "too many names": ("t,x,y\n0,1\n1,2\n", "3 column names but 2 columns"),
     "ragged": ("t,x\n0,1\n1\n2,3\n", "line 3 has 1 values for 2 columns"),
-    "two times": ("t,a,t\n0,1,1\n1,1,1\n", "two columns are called 't'; name all columns"),
+    "two times": ("t,a,t\n0,1,1\n1,1,1\n", "two columns are called 't' and differ; name"),
     "binary": (bytes(range(256)) * 20, "not a text file"),
     "null byte": (b"t,x\n0,\x00\n1,2\n", "not a text file"),
     "comma twice": ("t,x\n0,0,1,5\n0,5,2,5\n", "2 column names but 4 columns"),
     "long line": (b"t,x\n" + b"1" * 2**23, "no line holds numbers"),
     "no mark": ("t,x\n0,1\n1,2\n".encode("utf-16-le"), "save text as UTF-8"),
-    "quoted rows": ('"0,1"\n"1,2"\n"2,3"\n', "pass decimal=',' or delimiter"),
     "million columns": ("a," * 10**6 + "b\n" + "1," * 10**6 + "1\n", "at most 10000 are read"),
 }
 

@@ -63,9 +63,16 @@ def test_a_row_number_alone_is_no_time():
 
 def test_errors_name_the_column(tmp_path):
     with pytest.raises(DataError, match=r"column 'Clock': time must increase.*at sample 1 "):
-        read(tmp_path, {"Clock": np.zeros(N) - np.arange(N), "x": X})
+        read(tmp_path, {"Clock": np.r_[1.0, 0.0, T[2:]], "x": X})
     with pytest.raises(DataError, match=r"column 'Clock': samples must be evenly spaced"):
         read(tmp_path, {"Clock": T**1.1, "x": X})
+
+
+def test_rows_of_which_the_newest_stands_first_are_turned_round(tmp_path):
+    recording = read(tmp_path, {"Clock": 1.7e9 + T[::-1], "x": X[::-1]})
+    np.testing.assert_array_equal(recording.record["x"], X)
+    assert float(recording.record.start_time) == 1.7e9 + T[0]
+    assert "rows turned round: the newest stood first" in recording.steps
 
 
 def test_stamps_stored_in_32_bit_are_said_to_be(tmp_path):

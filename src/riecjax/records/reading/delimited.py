@@ -26,6 +26,7 @@ from riecjax.records.reading.channels import (
     first_sentence,
 )
 from riecjax.records.reading.literals import compute, kinds_of
+from riecjax.records.reading.times import is_called_time
 from riecjax.records.reading.units import (
     BRACKETS,
     SECONDS,
@@ -43,6 +44,13 @@ OTHER_FORMATS = {
 """What a file that begins so is, whatever its name."""
 
 
+MARKS = {
+    codecs.BOM_UTF32_LE: "UTF-32",
+    codecs.BOM_UTF32_BE: "UTF-32",
+    codecs.BOM_UTF16_LE: "UTF-16",
+    codecs.BOM_UTF16_BE: "UTF-16",
+}
+"""Encodings by what a text in them begins with, the longest first."""
 HEAD = 2**12
 """Bytes at the start of a file in which quoted names with line breaks are looked for."""
 _BROKEN = re.compile(rb'(?m)(?:^|(?<=[,;\t]))"[^"]*\n[^"]*"(?=[,;\t]|$)')
@@ -51,9 +59,10 @@ _BROKEN = re.compile(rb'(?m)(?:^|(?<=[,;\t]))"[^"]*\n[^"]*"(?=[,;\t]|$)')
 def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
     """A text file's content in UTF-8 with lines ended by `\\n`, and what was decided.
 
-    UTF-8, and UTF-16 with a mark, are recognised; any other text is taken as Latin-1, which differs
-    from other 8-bit encodings in names but not in numbers. A sign of minus becomes a hyphen, a line
-    break within a quoted name a blank; what has no width goes.
+    UTF-8, and UTF-16 and UTF-32 with a mark, are recognised; any other text is taken as Latin-1,
+    which differs from other 8-bit encodings in names but not in numbers. A sign of minus becomes a
+    hyphen, a line break within a quoted name a blank; what has no width goes, and so do the quotes
+    of spreadsheets around whole rows and of `="0.5"`.
 
     **Raises:** `DataError` for a binary file.
     """
@@ -61,9 +70,9 @@ def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
         if content.startswith(start):
             raise DataError(f"it is {kind}, whatever its name says; unpack, rename or export it.")
     notes: list[str] = []
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        content = content.decode("utf-16", "replace").encode()
-        notes.append("read as UTF-16")
+    if name := next((name for mark, name in MARKS.items() if content.startswith(mark)), ""):
+        content = content.decode(name, "replace").encode()
+        notes.append(f"read as {name}")
     whole = content.rstrip(b"\0")
     if 0 < len(whole) < len(content):
         notes.append(f"{len(content) - len(whole)} bytes of 0 at the end left out")
@@ -88,12 +97,19 @@ def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
     if lost := head.count(b"\n") - joined.count(b"\n"):
         # Later lines keep their numbers.
         content = b"\n" * lost + joined + content[HEAD:]
+    if b'="' in head:
+        content = re.sub(rb'="([^"\n]*)"', rb"\1", content)
+    lines = head.split(b"\n")[:-1]
+    if lines and all(re.fullmatch(rb'"[^"]*[,;\t][^"]*"', line.strip()) for line in lines):
+        content = re.sub(rb'(?m)^[ \t]*"|"[ \t]*$', b"", content)
     return content, notes
 
 
 NAMES = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "white space"}
 SIGNS = tuple(NAMES)[:-1]
 """Delimiters in order of preference; a blank, the last one, stands for any white space."""
+ROWS = ("signal", "signals", "name", "names", "channel", "channels")
+"""What a row of names calls itself in a field before them."""
 REMARKS = ("comment", "comments", "remark", "remarks", "kommentar", "bemerkung")
 """Columns that hold words, if anything."""
 
@@ -272,9 +288,10 @@ def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
             or (place > header and len(kind) == width and kind[0] in "NSD")
         )
     names = _without_empty_end(names)
-    # A column of remarks that stayed empty.
-    if len(names) == width + 1 > 2 and names[-1].lower() in REMARKS:
-        names = names[:-1]
+    # What the row is, before its names, or a column of remarks that stayed empty.
+    if len(names) == width + 1 > 2:
+        names = names[names[0].lower() in ROWS :]
+        names = names[: width + (names[-1].lower() not in REMARKS)]
     names = _joined(names, dialect, width)
     if names and set(pattern[len(names) :]) == {"M"}:
         names = [*names, *[""] * (width - len(names))]
@@ -371,13 +388,14 @@ class Table(NamedTuple):
     """A text file's rows below the header.
 
     **Fields:** `content` in UTF-8, comments blanked; `place` of the first row's first byte;
-    `layout`; `comments`, how many.
+    `layout`; `comments`, and `copies` of the names, how many.
     """
 
     content: bytes
     place: int
     layout: Layout
     comments: int
+    copies: int
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
         """Line, from 1, and fields of each row that is not blank; slow, for messages only."""
@@ -461,7 +479,12 @@ def table_of(content: bytes, head: list[bytes], found: Layout) -> Table:
         content, place = re.sub(rb"(?m)^[ \t]+$", b"", content[place:]), 0
     if found.width == 1:
         content = content.rstrip(b"\n")
-    return Table(content, place, found, comments)
+    # A logger that opens its file again writes the names again.
+    again = b"".join(head[found.header : found.start]) if found.header >= 0 else b""
+    if again and (copies := content.count(again, place)):
+        blank = b"\n" * again.count(b"\n")
+        content, place = content[place:].replace(again, blank), 0
+    return Table(content, place, found, comments, copies if again else 0)
 
 
 def read_delimited(
@@ -474,10 +497,10 @@ def read_delimited(
 
     Delimiter, decimal sign, header, a row of units, comments and lines above the header are
     recognised; what could be read in two ways is refused. Columns without a header are called
-    `column 1`, `column 2`, ..., or by `columns`.
+    `column 1`, `column 2`, ..., or by `columns`, and further ones of one name `x #2`, `x #3`, ....
 
     **Raises:** `DataError` naming the line and the text that is no number, for rows of unequal
-    length, for two columns of one name, and for files that are not text or have no samples.
+    length, for two times of one name, and for files that are not text or have no samples.
     """
     content, notes = as_utf8(file.read_bytes())
     table = read_table(content, delimiter, decimal, columns)
@@ -527,6 +550,7 @@ def read_table(
         "column names taken from a comment": header >= 0 and header not in found.kinds,
         "units taken from the row below the column names": found.units,
         f"{table.comments} comment line{'s' * (table.comments > 1)} skipped": table.comments,
+        f"{table.copies} times the column names again, left out": table.copies,
     }
     notes = [*(note for note, holds in decided.items() if holds), *read.notes, *notes]
     whole = replace(read, notes=notes)
@@ -535,16 +559,11 @@ def read_table(
 
 
 def _names(found: Layout) -> list[str]:
-    """Names of all columns; empty behind the last one. **Raises:** `DataError` for two of one."""
+    """Names of all columns; empty behind the last one."""
     # A spreadsheet takes what follows this mark for a text and no formula.
     names = [re.sub(r"(^|[;|,\t]\s*)'(?=[=+@-])", r"\1", name) for name in found.names]
     filled = len(_without_empty_end(names))
     names[:filled] = [name or NUMBERED.format(k + 1) for k, name in enumerate(names[:filled])]
-    if twice := [name for name, count in Counter(names[:filled]).items() if count > 1]:
-        raise DataError(
-            f"two columns are called '{twice[0]}'; name all columns (on the command line: --columns"
-            " A,B,...)."
-        )
     return names
 
 
@@ -559,6 +578,22 @@ def _columns(table: Table, decimal_given: bool, surely: bool) -> Channels:
         raise DataError("there are no samples below the column names.")
     names, how = _names(table.layout), (table.layout.dialect.decimal, decimal_given)
     units = itertools.chain(table.layout.units, itertools.repeat(""))
+    called: dict[str, list[str]] = {}
+
+    def take(name: str, values: np.ndarray, unit: str) -> None:
+        same, (bare, stated) = called.setdefault(name, []), split_unit(name)
+        if any(np.array_equal(values, found.columns[one], equal_nan=True) for one in same):
+            found.notes.append(f"a copy of column '{name}' left out")
+            return
+        if same and is_called_time(name, {}):
+            raise DataError(
+                f"two columns are called '{name}' and differ; name all columns (on the command"
+                " line: --columns A,B,...)."
+            )
+        number = f"{bare} #{len(same) + 1}" + (f" [{stated}]" if stated else "")
+        same.append(number if same else name)
+        found.take(same[-1], values, unit)
+
     for name, unit, kind, text in zip(names, units, table.layout.pattern, parsed.columns):
         values, behind = literals.measured(text, *how)
         if not name and (values is None or not np.isnan(values).all()):
@@ -568,13 +603,13 @@ def _columns(table: Table, decimal_given: bool, surely: bool) -> Channels:
         if values is not None:
             stated, unit = split_unit(name)[1] or "", behind or unit
             both = f"{stated} or {unit}" if contradict(stated, unit) else unit or stated
-            found.take(name, values, both)
+            take(name, values, both)
             continue
         text = literals.stripped(text)
         stamps, numeric = literals.are_stamps(text), literals.is_numeric(text, *how)
         if literals.all_true(stamps):
             first = next((stamp.as_py() for stamp in text if stamp.is_valid), "the first")
-            found.take(name, literals.seconds(text), "s")
+            take(name, literals.seconds(text), "s")
             found.notes.append(f"column '{name}': time stamps, as seconds from {first}")
             continue
         best = max(numeric, stamps, key=lambda valid: compute.mean(valid).as_py())

@@ -121,6 +121,11 @@ def record_from_channels(
         if not signals[name].unit and name not in said:
             require_sure_unit(name, column, units_read.get(name, ""))
     time = _time_of(signals, channels, "t" if "t" in rename else None, shortest)
+    known = np.zeros(0) if time is None else time.seconds[~np.isnan(time.seconds)]
+    if time is not None and known.size > 1 and (np.diff(known) < 0).all():
+        signals = {n: replace(signal, values=signal.values[::-1]) for n, signal in signals.items()}
+        notes = (*time.notes, "rows turned round: the newest stood first")
+        time = time._replace(seconds=time.seconds[::-1], notes=notes)
     every, step, rate = signals, selection.time_step, selection.resample
     if step is None:
         notes = time.notes if time else ()
