@@ -116,7 +116,7 @@ def test_names_again_and_columns_again(tmp_path):
     found = columns(tmp_path, "\n".join([*rows, *rows[:2], "9,81,9,-9"]) + "\n")
     assert found.units == {"t": "s", "a": "mm", "a #2": "mm"}
     assert found.columns["a #2"].tolist() == [-float(i) for i in range(10)]
-    assert "1 times the column names again, left out" in found.notes
+    assert "1 further row of names left out" in found.notes
     assert "a copy of column 't' left out" in found.notes
 
 

@@ -550,7 +550,7 @@ def read_table(
         "column names taken from a comment": header >= 0 and header not in found.kinds,
         "units taken from the row below the column names": found.units,
         f"{table.comments} comment line{'s' * (table.comments > 1)} skipped": table.comments,
-        f"{table.copies} times the column names again, left out": table.copies,
+        f"{table.copies} further row{'s' * (table.copies > 1)} of names left out": table.copies,
     }
     notes = [*(note for note, holds in decided.items() if holds), *read.notes, *notes]
     whole = replace(read, notes=notes)
