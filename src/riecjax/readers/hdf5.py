@@ -110,7 +110,11 @@ def walk(
                 if not (name == "" and key.startswith("#"))
                 and isinstance(item.get(key, getlink=True), h5py.HardLink)
             ]
-        elif getattr(item, "shape", None) and not (item.is_virtual or item.external):
+        elif (
+            isinstance(item, h5py.Dataset)
+            and (item.shape or item.dtype.kind in "fiub")
+            and not (item.shape is None or item.is_virtual or item.external)
+        ):
             within = inside(name, item)
         else:
             continue

@@ -1,7 +1,11 @@
+import json
+
+import h5py
 import numpy as np
 import pytest
+import scipy.io
 
-from riecjax.doubts.reading import read_record
+from riecjax.doubts.reading import read_record, read_recordings
 from riecjax.errors import DataError, ModelError
 from riecjax.records.derived import derived
 
@@ -88,3 +92,48 @@ def test_derived_signals_of_a_file(tmp_path):
     np.testing.assert_allclose(record["power"][2], 1e3 * 103 * 0.03)
     np.testing.assert_allclose(record["q"], [-0.01, -0.02, -0.03])
     assert dict(record.units) == {"force": "N", "power": "W"}
+
+
+LOGS = [{"gain": 3.2, "car": {"mass": 1.5}}, {"gain": -0.4, "car": {"mass": 7}}]
+"""Single values beside the arrays of two recordings."""
+BESIDE = "gain * current - car.mass * mean(current)"
+
+
+@pytest.mark.parametrize("ending", ["json", "one.json", "group.json", "npz", "mat", "h5"])
+def test_single_values_of_a_file_in_formulas(tmp_path, ending):
+    t = 0.01 * np.arange(40)
+    arrays = {"t": t.tolist(), "current": np.cos(3 * t).tolist()}
+    for i, log in enumerate(LOGS):
+        flat = {**arrays, "gain": log["gain"], "car.mass": log["car"]["mass"]}
+        path = tmp_path / f"{i}.{ending}"
+        match ending:
+            case "json":
+                path.write_text(json.dumps(log | arrays))
+            case "one.json":
+                path.write_text(json.dumps([one | arrays for one in LOGS]))
+            case "group.json":
+                path.write_text(
+                    json.dumps({"gain": 9.0, "run": log | arrays} if i else log | arrays)
+                )
+            case "npz":
+                np.savez(path, **flat)
+            case "mat":
+                scipy.io.savemat(path, log | arrays)
+            case "h5":
+                with h5py.File(path, "w") as file:
+                    for name, values in flat.items():
+                        file[name.replace(".", "/")] = values
+        formula = BESIDE.replace("gain", "run.gain") if ending == "group.json" and i else BESIDE
+        found = read_recordings(path, derive={"F": formula})
+        record = found[i if len(found) > 1 else 0].record
+        current = np.cos(3 * t)
+        expected = log["gain"] * current - log["car"]["mass"] * current.mean()
+        np.testing.assert_allclose(record["F"], expected, rtol=1e-12)
+        assert set(record.arrays) == {"current", "F"}
+        for name in ("lost", "car.lost"):
+            with pytest.raises(ModelError, match=f"no column or single value '{name}' in the"):
+                read_record(
+                    path,
+                    derive={"F": f"{name} * current"},
+                    **({"part": "part(1)"} if len(found) > 1 else {}),
+                )

@@ -44,7 +44,7 @@ def read_json(file: Path) -> Channels:
 
     Rows may be arrays below one of names; pandas' forms `split` and `columns` are read as well, and
     lines of objects. Names as in [`read_json_lines`][], below the object in which all arrays lie. A
-    `unit` beside an array is its unit.
+    `unit` beside an array is its unit. Single values are scalars.
 
     **Raises:** `DataError` for damaged files.
     """
@@ -98,8 +98,10 @@ def _objects(lines: Iterable[bytes], notes: list[str]) -> Iterator[dict[str, Any
 
 
 def _tables(name: str, document: Any) -> Iterator[tuple[str, list[Any]]]:
-    """Arrays of a document by their name."""
+    """Arrays of a document by their name, and single values as arrays of one."""
     for inner, rows in _leaves(name, document):
+        if isinstance(rows, int | float):
+            yield inner, [rows]
         if not isinstance(rows, list):
             continue
 
@@ -140,7 +142,8 @@ def _channels(tables: Mapping[str, Iterable[Any]], texts: Mapping[str, str] = {}
     for table, rows in tables.items():
         part = gathered(table, rows)
         columns = {k: v for k, v in part.columns.items() if v.size > 1}
-        whole.take_all(replace(part, columns=columns))
+        scalars = {k: float(v[0]) for k, v in part.columns.items() if v.size == 1}
+        whole.take_all(replace(part, columns=columns, scalars=scalars))
     whole.note_left_out("")
     return with_structure_times(without_common_group(with_units_beside(whole, texts), "."))
 
