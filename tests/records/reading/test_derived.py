@@ -132,8 +132,4 @@ def test_single_values_of_a_file_in_formulas(tmp_path, ending):
         assert set(record.arrays) == {"current", "F"}
         for name in ("lost", "car.lost"):
             with pytest.raises(ModelError, match=f"no column or single value '{name}' in the"):
-                read_record(
-                    path,
-                    derive={"F": f"{name} * current"},
-                    **({"part": "part(1)"} if len(found) > 1 else {}),
-                )
+                read_recordings(path, derive={"F": f"{name} * current"})

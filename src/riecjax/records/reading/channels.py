@@ -162,7 +162,8 @@ def vectors(arrays: Mapping[str, object]) -> Channels:
     """Numeric arrays as columns: vectors by their name, matrices as `name[0]`, `name[1]`, ...
 
     The long side of a matrix is that of the samples. Dates, durations and stamps as text are
-    seconds. Single values are no columns but scalars; square matrices, other text and objects with the reason.
+    seconds. Single values are scalars. Left out are square matrices, other text and objects, with
+    the reason.
     """
     found = Channels({})
     for name, values in arrays.items():

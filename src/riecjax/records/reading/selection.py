@@ -182,7 +182,7 @@ def record_from_channels(
             axis, values = on_grid(measured, rate, matter)
         clock, measured_values = {} if axis is None else {"t": axis}, values.copy()
         # Groups of HDF5 are parted by strokes, which divide in a formula.
-        scalars = {n.replace("/", "."): np.float64(v) for n, v in channels.scalars.items()}
+        scalars = {n.replace("/", "."): np.array(v) for n, v in channels.scalars.items()}
         for name, formula in formulas.items():
             values[name] = derived(formula, scalars | clock | values)
         values = {name: array for name, array in values.items() if name not in by_products}
