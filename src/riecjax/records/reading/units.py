@@ -21,7 +21,8 @@ _LINES = Path(__file__).with_name("units.txt").read_text(encoding="utf-8").split
 def _definitions(kind: str) -> dict[str, str]:
     """Names, parted by spaces, to what they mean."""
     lines = (line.removeprefix(f"{kind}: ") for line in _LINES if line.startswith(f"{kind}: "))
-    return dict(each.partition(" = ")[::2] for line in lines for each in line.split("; "))
+    parts = (each.partition(" = ") for line in lines for each in line.split("; "))
+    return {names: meaning for names, _, meaning in parts}
 
 
 def _by_name(kind: str) -> dict[str, str]:
