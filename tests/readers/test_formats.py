@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_typestore
 import riecjax as rx
 from damage import outcome
 from riecjax.errors import DataError
-from riecjax.readers import hdf5
+from riecjax.readers.hdf5 import read_hdf5
 from riecjax.readers.matlab import read_v5
 from riecjax.records.reading.channels import read_channels
 
@@ -223,9 +223,9 @@ def test_too_many_groups_and_pictures_of_hdf5(tmp_path, monkeypatch):
         file.create_dataset("video", (10**6, 1000, 1000), dtype="u1", chunks=(1, 1000, 1000))
     channels = read_channels(tmp_path / "a.h5")
     assert "not that of channels" in channels.left_out["video"]
-    monkeypatch.setattr(hdf5, "MOST_ITEMS", 2)
-    with pytest.raises(DataError, match="at most 2 are read"):
-        inspect.unwrap(hdf5.read_hdf5)(tmp_path / "a.h5")
+    monkeypatch.setattr("riecjax.records.reading.channels.MOST_COLUMNS", 2)
+    with pytest.raises(DataError, match="has 3 columns; at most 2 are read"):
+        inspect.unwrap(read_hdf5)(tmp_path / "a.h5")
 
 
 def counts_in_hdf5(path, dtype, **attributes):
