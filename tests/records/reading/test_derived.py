@@ -94,42 +94,35 @@ def test_derived_signals_of_a_file(tmp_path):
     assert dict(record.units) == {"force": "N", "power": "W"}
 
 
-LOGS = [{"gain": 3.2, "car": {"mass": 1.5}}, {"gain": -0.4, "car": {"mass": 7}}]
+def h5(path, log):
+    with h5py.File(path, "w") as file:
+        for name, values in log.items():
+            file[name.replace(".", "/")] = values
+
+
+RIGS = {"gain": 3.2, "car": {"mass": 1.5}}, {"gain": -0.4, "car": {"mass": 7}}
+FLAT = [{"gain": rig["gain"], "car.mass": rig["car"]["mass"]} for rig in RIGS]
 """Single values beside the arrays of two recordings."""
-BESIDE = "gain * current - car.mass * mean(current)"
+WRITERS = {
+    "json": lambda path, i, log: path.write_text(json.dumps(RIGS[i] | log)),
+    "common group.json": lambda path, i, log: path.write_text(json.dumps({"a": RIGS[i] | log})),
+    "list.json": lambda path, i, log: path.write_text(json.dumps([rig | log for rig in RIGS])),
+    "npz": lambda path, i, log: np.savez(path, **FLAT[i], **log),
+    "mat": lambda path, i, log: scipy.io.savemat(path, RIGS[i] | log),
+    "h5": lambda path, i, log: h5(path, FLAT[i] | log),
+}
 
 
-@pytest.mark.parametrize("ending", ["json", "one.json", "group.json", "npz", "mat", "h5"])
-def test_single_values_of_a_file_in_formulas(tmp_path, ending):
+@pytest.mark.parametrize("ending", WRITERS)
+@pytest.mark.parametrize("i", [0, 1])
+def test_single_values_of_a_file_in_formulas(tmp_path, ending, i):
     t = 0.01 * np.arange(40)
-    arrays = {"t": t.tolist(), "current": np.cos(3 * t).tolist()}
-    for i, log in enumerate(LOGS):
-        flat = {**arrays, "gain": log["gain"], "car.mass": log["car"]["mass"]}
-        path = tmp_path / f"{i}.{ending}"
-        match ending:
-            case "json":
-                path.write_text(json.dumps(log | arrays))
-            case "one.json":
-                path.write_text(json.dumps([one | arrays for one in LOGS]))
-            case "group.json":
-                path.write_text(
-                    json.dumps({"gain": 9.0, "run": log | arrays} if i else log | arrays)
-                )
-            case "npz":
-                np.savez(path, **flat)
-            case "mat":
-                scipy.io.savemat(path, log | arrays)
-            case "h5":
-                with h5py.File(path, "w") as file:
-                    for name, values in flat.items():
-                        file[name.replace(".", "/")] = values
-        formula = BESIDE.replace("gain", "run.gain") if ending == "group.json" and i else BESIDE
-        found = read_recordings(path, derive={"F": formula})
-        record = found[i if len(found) > 1 else 0].record
-        current = np.cos(3 * t)
-        expected = log["gain"] * current - log["car"]["mass"] * current.mean()
-        np.testing.assert_allclose(record["F"], expected, rtol=1e-12)
-        assert set(record.arrays) == {"current", "F"}
-        for name in ("lost", "car.lost"):
-            with pytest.raises(ModelError, match=f"no column or single value '{name}' in the"):
-                read_recordings(path, derive={"F": f"{name} * current"})
+    current, path = np.cos(3 * t), tmp_path / f"a.{ending}"
+    WRITERS[ending](path, i, {"t": t.tolist(), "current": current.tolist()})
+    record = read_recordings(path, derive={"F": "gain * current - car.mass"})[
+        i if ending[0] == "l" else 0
+    ].record
+    np.testing.assert_allclose(record["F"], FLAT[i]["gain"] * current - FLAT[i]["car.mass"])
+    assert set(record.arrays) == {"current", "F"}
+    with pytest.raises(ModelError, match=r"no column or single value 'car\.lost' in the"):
+        read_recordings(path, derive={"F": "car.lost * current"})
