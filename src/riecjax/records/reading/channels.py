@@ -345,13 +345,9 @@ def read_array(stream: IO[bytes], size: int) -> np.ndarray | None:
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Shape, whether it runs along columns, and type of the array that follows."""
-    match np.lib.format.read_magic(stream):
-        case (1, 0):
-            return np.lib.format.read_array_header_1_0(stream)
-        case (2, 0):
-            return np.lib.format.read_array_header_2_0(stream)
-        case version:
-            raise ValueError(f"arrays of version {version} are not read.")
+    if (version := np.lib.format.read_magic(stream)) not in ((1, 0), (2, 0)):
+        raise ValueError(f"arrays of version {version} are not read.")
+    return getattr(np.lib.format, f"read_array_header_{version[0]}_0")(stream)
 
 
 READERS = {
@@ -412,20 +408,16 @@ def read_channels(
         takes = inspect.signature(reader).parameters
         # A tab as it can be typed.
         delimiter = "\t" if delimiter == "\\t" else delimiter
-        if delimiter and "delimiter" not in takes:
-            raise DataError(f"{file.name}: a delimiter is for text files.")
-        if (decimal and "decimal" not in takes) or (columns and "columns" not in takes):
-            raise DataError(
-                f"{file.name}: decimal sign and names of columns are for text files and "
-                f"spreadsheets."
-            )
+        given = {"delimiter": delimiter, "decimal": decimal, "columns": columns}
+        if needless := [name for name, value in given.items() if value and name not in takes]:
+            kinds = "text files" + " and spreadsheets" * (needless[0] != "delimiter")
+            raise DataError(f"{file.name}: '{needless[0]}' is for {kinds}.")
         if decimal not in (None, ".", ","):
             raise DataError(f"{file.name}: the decimal sign must be '.' or ','; got {decimal!r}.")
         if delimiter is not None and (
             len(delimiter) != 1 or delimiter in '"\r\n' or not delimiter.isascii()
         ):
             raise DataError(f"{file.name}: the delimiter must be one character; got {delimiter!r}.")
-        given = {"delimiter": delimiter, "decimal": decimal, "columns": columns}
         dialect = {name: value for name, value in given.items() if name in takes}
         require_memory(
             f"reading {file.name}", MEMORY_PER_BYTE * size_of(file), "Read a part of the file."
