@@ -58,7 +58,7 @@ def test_what_is_no_unit_or_could_be_two(text):
     assert not readings(text)
 
 
-@pytest.mark.parametrize("text", ["g", "lb", "oz", "mg", "grad", "Pounds"])
+@pytest.mark.parametrize("text", ["g", "lb", "oz", "mg", "grad", "Pounds", "g " * 60])
 def test_a_spelling_with_two_meanings(text):
     assert len(readings(text)) == 2
 

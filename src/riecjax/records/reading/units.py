@@ -76,15 +76,16 @@ _ONE = Unit(1.0, (0,) * len(BASE))
 def readings(text: str) -> Mapping[str, Unit]:
     """What a text may mean as a unit, by a spelling that says so; of two where it is double.
 
-    Where quantities are usually in one and not in the other, that is meant: in `ft-lb`, the pound
-    is a force.
+    A word means the same wherever it stands in the text. Where quantities are usually in one and
+    not in the other, that is meant: in `ft-lb`, the pound is a force.
     """
     spelled = functools.reduce(lambda s, old: s.replace(old, _SPELLED[old]), _SPELLED, text.strip())
     spelled = WHOLE.get(spelled, spelled)
     found: dict[str, Unit] = {}
-    for choice in itertools.product(*(DOUBLE[word] for word in _WORD.findall(spelled))):
-        words = iter(choice)
-        one = _WORD.sub(lambda match, words=words: next(words), spelled)
+    words = dict.fromkeys(_WORD.findall(spelled))
+    for choice in itertools.product(*map(DOUBLE.__getitem__, words)):
+        meant = dict(zip(words, choice))
+        one = _WORD.sub(lambda match, meant=meant: meant[match[0]], spelled)
         if (unit := _unit(one)) and unit not in found.values():
             found[one] = unit
     return {one: unit for one, unit in found.items() if unit.powers in _usual()} or found
