@@ -94,7 +94,7 @@ def test_a_foreign_reader_takes_part(foreign, tmp_path):
     record = rx.read_recording(tmp_path / "a.xyz", decimal=",").record
     np.testing.assert_allclose(record["x"], 1e-3 * np.sin(time), rtol=1e-15)
     assert endings()[-1] == ".xyz"
-    with pytest.raises(DataError, match=r"^a\.xyz: a delimiter is for text files\.$"):
+    with pytest.raises(DataError, match=r"^a\.xyz: 'delimiter' is for text files\.$"):
         read_channels(tmp_path / "a.xyz", delimiter=";")
     (tmp_path / "a.xyz").write_text("1 2\n3")
     with pytest.raises(DataError, match=r"^a\.xyz: not a readable XYZ file: "):

@@ -21,10 +21,9 @@ from rosbags.typesys import Stores, get_typestore
 import riecjax as rx
 from damage import outcome
 from riecjax.errors import DataError
-from riecjax.readers import hdf5
+from riecjax.readers.hdf5 import read_hdf5
 from riecjax.readers.matlab import read_v5
 from riecjax.records.reading.channels import read_channels
-from riecjax.records.reading.parquet import read_parquet
 
 N = 60
 TIME = 0.05 * np.arange(N)
@@ -224,9 +223,9 @@ def test_too_many_groups_and_pictures_of_hdf5(tmp_path, monkeypatch):
         file.create_dataset("video", (10**6, 1000, 1000), dtype="u1", chunks=(1, 1000, 1000))
     channels = read_channels(tmp_path / "a.h5")
     assert "not that of channels" in channels.left_out["video"]
-    monkeypatch.setattr(hdf5, "MOST_ITEMS", 2)
-    with pytest.raises(DataError, match="at most 2 are read"):
-        inspect.unwrap(hdf5.read_hdf5)(tmp_path / "a.h5")
+    monkeypatch.setattr("riecjax.records.reading.channels.MOST_COLUMNS", 2)
+    with pytest.raises(DataError, match="has 3 columns; at most 2 are read"):
+        inspect.unwrap(read_hdf5)(tmp_path / "a.h5")
 
 
 def counts_in_hdf5(path, dtype, **attributes):
@@ -366,9 +365,14 @@ def test_nulls_and_kinds_of_parquet(tmp_path):
 
 def test_what_parquet_takes_is_counted_before_it_is_read(tmp_path, monkeypatch):
     parquet.write_table(pa.table({"x": np.zeros(10**6)}), tmp_path / "a.parquet")
-    monkeypatch.setattr("riecjax.runtime.free_memory", lambda: 4e7)
-    with pytest.raises(MemoryError, match=r"takes about 0\.064 GB of memory, and 0\.04 GB"):
-        inspect.unwrap(read_parquet)(tmp_path / "a.parquet")
+    word = pa.DictionaryArray.from_arrays(np.zeros(10**5, int), pa.array(["1" * 10**5]))
+    for stored in (True, False):
+        parquet.write_table(pa.table({"x": word}), tmp_path / "b.parquet", store_schema=stored)
+        with pytest.raises(DataError, match=r"^b\.parquet: unpacks to 10000000000 bytes"):
+            read_channels(tmp_path / "b.parquet")
+    monkeypatch.setattr("riecjax.runtime.free_memory", lambda: 2e7)
+    with pytest.raises(MemoryError, match=r"takes about 0\.024 GB of memory, and 0\.02 GB"):
+        read_channels(tmp_path / "a.parquet")
 
 
 def workbook(path, **sheets):

@@ -1,18 +1,13 @@
 """Reading HDF5 files, with the extra `hdf5`; MATLAB's v7.3 walks through them as well."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from riecjax.errors import DataError
 from riecjax.records import reading
 
-DEEPEST = 16
-"""Groups within groups past which a file is not followed."""
-MOST_ITEMS = 100_000
-"""Links and references that are followed before a file is refused."""
 UNITS = ("units", "unit", "Units", "Unit", "UNITS", "UNIT")
 """Attributes that state a dataset's unit."""
 
@@ -38,14 +33,9 @@ def read_hdf5(file: Path) -> reading.Channels:
     stated: dict[str, str] = {}
     whole = reading.Channels({})
     with h5py.File(file, "r") as source:
-        datasets = dict(walk(source))
-        for name, dataset in [*datasets.items()]:
-            if sum(side > 1 for side in dataset.shape) > 2:
-                why = f"its shape {dataset.shape} is not that of channels over time"
-                whole.left_out[name] = why
-                del datasets[name]
-        check_size([*datasets.values()], file)
-        for name, dataset in datasets.items():
+        found, left_out = datasets(source, file)
+        whole.left_out.update(left_out)
+        for name, dataset in found.items():
             columns, notes = _columns(name, dataset)
             whole.notes.extend(notes)
             reading.check_declared(names=[*arrays, *columns])
@@ -72,64 +62,58 @@ def word(text: object) -> str:
     return text.decode(errors="replace") if isinstance(text, bytes) else str(text)
 
 
-def check_size(datasets: list[Any], file: Path) -> None:
-    """Refuse datasets that declare more numbers than are read, or than the file can hold."""
-    size = sum(d.size * d.dtype.itemsize for d in datasets)
-    reading.check_declared(unpacked=size, packed=file.stat().st_size)
-
-
-def walk(
+def datasets(
     source: Any,
+    file: Path,
     separator: str = "/",
-    inside: Callable[[str, Any], list[tuple[str, Any]] | None] = lambda name, dataset: None,
-) -> Iterator[tuple[str, Any]]:
-    """Datasets of a file with their names, in the file's order.
+    inside: Callable[[str, Any], dict[str, Any] | None] = lambda name, dataset: None,
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Datasets of a file by name, in the file's order, and why others are left out.
 
     Links to other files are not followed. A group that several links lead to is entered once, and
-    so is a dataset of references, which may lead to itself.
+    so is a dataset of references, which may lead to itself. Single values count if they are
+    numbers.
 
     **Arguments:** `inside`: what a dataset refers to, by name, to be walked in its place; `None`
     for a dataset that counts itself.
+
+    **Raises:** `DataError` for more of them, or more links in one group, than columns are read, and
+    where they declare more numbers than are read, or than the file can hold.
     """
     import h5py
 
     # Two objects are equal, and have one hash, where they lie at one address in the file.
-    entered, columns, followed = set(), 0, 0
-    waiting: list[tuple[str, Any, int]] = [("", source, 0)]
+    found, left_out, entered, size = {}, {}, set(), 0
+    waiting: list[tuple[str, Any]] = [("", source)]
     while waiting:
-        name, item, depth = waiting.pop()
-        if depth > DEEPEST or item in entered:
+        name, item = waiting.pop()
+        if item in entered:
             continue
-        if isinstance(item, h5py.Group):
-            _check_items(followed + len(item))
+        shape = getattr(item, "shape", None)
+        if hasattr(item, "keys"):  # it is a group
+            reading.check_declared(len(item))
             before = name + separator if name else ""
-            within = [
-                (before + key, item[key])
+            within = {
+                before + key: item[key]
                 for key in map(str, item)
                 # MATLAB keeps what references lead to in groups of such names.
                 if not (name == "" and key.startswith("#"))
                 and isinstance(item.get(key, getlink=True), h5py.HardLink)
-            ]
-        elif getattr(item, "shape", None) and not (item.is_virtual or item.external):
-            within = inside(name, item)
-        else:
+            }
+        elif shape is None or item.is_virtual or item.external:
             continue
-        if within is None:
-            columns += 1
-            reading.check_declared(columns)
-            yield name, item
         else:
+            within = inside(name, item) if shape or item.dtype.kind in "fiub" else {}
+        if within is not None:
             entered.add(item)
-            followed += len(within)
-            _check_items(followed)
-            waiting += [(inner, each, depth + 1) for inner, each in reversed(within)]
-
-
-def _check_items(count: int) -> None:
-    if count > MOST_ITEMS:
-        raise DataError(
-            f"has {count} groups and references or more; at most {MOST_ITEMS} are read."
-        )
+            waiting += reversed(within.items())
+        elif sum(side > 1 for side in item.shape) > 2:
+            left_out[name] = f"its shape {shape} is not that of channels over time"
+        else:
+            found[name] = item
+            size += item.size * item.dtype.itemsize
+            reading.check_declared(len(found), size, file.stat().st_size)
+    return found, left_out
 
 
 def _columns(name: str, dataset: Any) -> tuple[dict[str, np.ndarray], list[str]]:

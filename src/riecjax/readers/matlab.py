@@ -6,24 +6,20 @@ in a process of its own, as HDF5 is.
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from riecjax.readers.hdf5 import DEEPEST, check_size, walk, word
+from riecjax.readers.hdf5 import datasets, word
 from riecjax.records import reading
 
-V73 = b"MATLAB 7.3"
 HDF5 = b"\x89HDF\r\n\x1a\n"
 HEADER = 512
 """Bytes before the content of a file of v7.3."""
+OBJECT = "it is a {} of MATLAB, which only MATLAB reads: save its columns as vectors"
 LONGEST_WORD = 100
 """Letters of a text that may be a unit."""
-Arrays = dict[str, np.ndarray]
-Objects = dict[str, str]
-"""Variables that are objects of MATLAB's, such as timetables, with their class."""
 
 
 def read_mat(file: Path) -> reading.Channels:
@@ -38,24 +34,14 @@ def read_mat(file: Path) -> reading.Channels:
     """
     with file.open("rb") as stream:
         start = stream.read(HEADER + len(HDF5))
-    if start.startswith(V73) or HDF5 in (start[: len(HDF5)], start[HEADER:]):
-        return read_v73(file)
-    return read_v5(file)
+    return (read_v73 if HDF5 in (start[: len(HDF5)], start[HEADER:]) else read_v5)(file)
 
 
-def _channels(arrays: Arrays, objects: Objects) -> reading.Channels:
-    found = reading.vectors({name: array for name, array in arrays.items() if not _is_word(array)})
-    words = {name: str(array.flat[0]) for name, array in arrays.items() if _is_word(array)}
-    left_out = dict.fromkeys(words, "it holds no real numbers") | {
-        name: f"it is a {kind} of MATLAB, which only MATLAB reads: save its columns as vectors"
-        for name, kind in objects.items()
-    }
-    found = reading.with_units_beside(replace(found, left_out=found.left_out | left_out), words)
-    return reading.with_structure_times(found)
-
-
-def _is_word(array: np.ndarray) -> bool:
-    return array.dtype.kind == "U" and array.size == 1
+def _channels(arrays: dict[str, np.ndarray], left_out: dict[str, str]) -> reading.Channels:
+    found = reading.vectors(arrays)
+    found.left_out.update(left_out)
+    words = {n: str(a.flat[0]) for n, a in arrays.items() if a.dtype.kind == "U" and a.size == 1}
+    return reading.with_structure_times(reading.with_units_beside(found, words))
 
 
 @reading.apart("MAT", is_trusted=False)
@@ -71,26 +57,26 @@ def read_v5(file: Path) -> reading.Channels:
         raise ValueError("a variable's name is not text.")
     with file.open("rb") as stream:
         variables = scipy.io.loadmat(stream)
-    arrays: Arrays = {}
-    objects: Objects = {}
+    arrays: dict[str, np.ndarray] = {}
+    left_out: dict[str, str] = {}
     for name, value in variables.items():
         if type(value).__name__ == "MatlabOpaque":
             described = np.asarray(value).flat[0]
-            objects[word(described["s0"])] = word(described["s2"])
+            left_out[word(described["s0"])] = OBJECT.format(word(described["s2"]))
         elif not name.startswith("__"):
             for inner, array in _parts(name, value):
                 arrays[inner] = array
                 reading.check_declared(len(arrays))
-    return _channels(arrays, objects)
+    return _channels(arrays, left_out)
 
 
-def _parts(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:
+def _parts(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
     """The arrays of a variable of SciPy's, those in structures and cells included."""
     if hasattr(value, "toarray"):  # it is sparse
         reading.check_declared(unpacked=8 * math.prod(value.shape))
         value = value.toarray()
     array = np.asarray(value)
-    if depth > DEEPEST or type(value).__name__ in ("MatlabOpaque", "MatlabFunction"):
+    if type(value).__name__ in ("MatlabOpaque", "MatlabFunction"):
         return
     # Counted along columns, as MATLAB counts.
     elements = array.reshape(-1, order="F")
@@ -98,10 +84,10 @@ def _parts(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, np.ndar
         for place, element in enumerate(elements, start=1):
             whole = name if elements.size == 1 else f"{name}({place})"
             for field in array.dtype.names:
-                yield from _parts(f"{whole}.{field}", element[field], depth + 1)
+                yield from _parts(f"{whole}.{field}", element[field])
     elif array.dtype.kind == "O":
         for place, element in enumerate(elements, start=1):
-            yield from _parts(f"{name}{{{place}}}", element, depth + 1)
+            yield from _parts(f"{name}{{{place}}}", element)
     elif array.dtype.kind in "fiubcU":
         yield name, array
 
@@ -112,15 +98,13 @@ def read_v73(file: Path) -> reading.Channels:
     import h5py
 
     with h5py.File(file, "r") as source:
-        datasets = list(walk(source, ".", _elements))
-        check_size([dataset for _, dataset in datasets], file)
-        objects = {
-            name: word(dataset.attrs.get("MATLAB_class", "object"))
-            for name, dataset in datasets
+        found, left_out = datasets(source, file, ".", _elements)
+        left_out |= {
+            name: OBJECT.format(word(dataset.attrs.get("MATLAB_class", "object")))
+            for name, dataset in found.items()
             if "MATLAB_object_decode" in dataset.attrs
         }
-        plain = {name: _array(d) for name, d in datasets if name not in objects}
-        return _channels(plain, objects)
+        return _channels({n: _array(d) for n, d in found.items() if n not in left_out}, left_out)
 
 
 def _array(dataset: Any) -> np.ndarray:
@@ -133,20 +117,20 @@ def _array(dataset: Any) -> np.ndarray:
     return np.array(["".join(map(chr, values.reshape(-1)[:LONGEST_WORD]))])
 
 
-def _elements(name: str, item: Any) -> list[tuple[str, Any]] | None:
+def _elements(name: str, item: Any) -> dict[str, Any] | None:
     """What a cell, or a field of an array of structures, refers to; `None` for numbers."""
     import h5py
 
     if item.dtype.kind in "fiub":
         return None
     if h5py.check_ref_dtype(item.dtype) is not h5py.Reference:
-        return []
+        return {}
     reading.check_declared(int(item.size or 0))
     references = enumerate(np.asarray(item[()]).reshape(-1), start=1)
     whole, _, field = name.rpartition(".")
     is_cell = item.attrs.get("MATLAB_class") == b"cell" or not whole
-    return [
-        (f"{name}{{{i}}}" if is_cell else f"{whole}({i}).{field}", item.file[reference])
+    return {
+        f"{name}{{{i}}}" if is_cell else f"{whole}({i}).{field}": item.file[reference]
         for i, reference in references
         if reference
-    ]
+    }

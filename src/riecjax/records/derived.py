@@ -40,8 +40,8 @@ def derived(formula: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
     Nothing but these is understood, and nothing is executed. Gaps (NaN) stay
     gaps; numbers are 64-bit floats throughout.
 
-    **Arguments:** `columns`: name to samples, shape `(n,)`; a name that is no Python name must
-    be renamed first.
+    **Arguments:** `columns`: name to samples, shape `(n,)`, or to a number, as in `rig.gain * vir`;
+    a column whose name is no Python name must be renamed first.
 
     **Raises:** `ModelError` naming the piece that is not understood.
     """
@@ -61,7 +61,7 @@ def derived(formula: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
         raise ModelError(f"the formula {formula[:80]!r} cannot be read.") from None
     except (RecursionError, MemoryError):
         raise ModelError(f"the formula {formula[:40]!r}... is nested too deep.") from None
-    length = next((values.size for values in columns.values()), 1)
+    length = max(map(np.size, columns.values()), default=1)
     return np.array(np.broadcast_to(value, (length,)), dtype=float)
 
 
@@ -104,8 +104,13 @@ def _value(node: ast.expr, formula: str, columns: Mapping[str, np.ndarray]) -> n
             return np.float64(number)  # pyright: ignore[reportReturnType]
         case ast.Name(id=name) if name in columns:
             return columns[name]
-        case ast.Name(id=name):
-            raise ModelError(f"there is no column '{name}' in the formula {formula[:80]!r}.")
+        case ast.Attribute() if np.ndim(number := columns.get(ast.unparse(node), [])) == 0:
+            return np.asarray(number)
+        case ast.Name() | ast.Attribute() if ast.unparse(node) not in columns:
+            name = ast.unparse(node)[:80]
+            raise ModelError(
+                f"there is no column or single value '{name}' in the formula {formula[:80]!r}."
+            )
         case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATIONS:
             return OPERATIONS[type(op)](
                 _value(left, formula, columns), _value(right, formula, columns)

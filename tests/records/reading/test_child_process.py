@@ -93,3 +93,15 @@ def test_the_process_ends_with_the_one_that_asks(whole):
     select.select([ended], [], [])
     os.close(ended)
     assert not Path(folder).exists()
+
+
+def test_a_fork_leaves_the_reader_of_its_parent_alone(whole):
+    code = (
+        "import os, sys; from riecjax.records.reading import channels, child_process\n"
+        "read = lambda: channels.read_channels(sys.argv[1]); read()\n"
+        "reader, fork = child_process._readers[0], os.fork()\n"
+        "read() if not fork else os.waitpid(fork, 0)\n"
+        "assert (child_process._readers[0] is reader) == bool(fork)\n"
+        "assert not fork or reader.is_usable"
+    )
+    subprocess.run([sys.executable, "-c", code, str(whole)], check=True)

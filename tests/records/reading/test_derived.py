@@ -1,7 +1,11 @@
+import json
+
+import h5py
 import numpy as np
 import pytest
+import scipy.io
 
-from riecjax.doubts.reading import read_record
+from riecjax.doubts.reading import read_record, read_recordings
 from riecjax.errors import DataError, ModelError
 from riecjax.records.derived import derived
 
@@ -88,3 +92,37 @@ def test_derived_signals_of_a_file(tmp_path):
     np.testing.assert_allclose(record["power"][2], 1e3 * 103 * 0.03)
     np.testing.assert_allclose(record["q"], [-0.01, -0.02, -0.03])
     assert dict(record.units) == {"force": "N", "power": "W"}
+
+
+def h5(path, log):
+    with h5py.File(path, "w") as file:
+        for name, values in log.items():
+            file[name.replace(".", "/")] = values
+
+
+RIGS = {"gain": 3.2, "car": {"mass": 1.5}}, {"gain": -0.4, "car": {"mass": 7}}
+FLAT = [{"gain": rig["gain"], "car.mass": rig["car"]["mass"]} for rig in RIGS]
+"""Single values beside the arrays of two recordings."""
+WRITERS = {
+    "json": lambda path, i, log: path.write_text(json.dumps(RIGS[i] | log)),
+    "common group.json": lambda path, i, log: path.write_text(json.dumps({"a": RIGS[i] | log})),
+    "list.json": lambda path, i, log: path.write_text(json.dumps([rig | log for rig in RIGS])),
+    "npz": lambda path, i, log: np.savez(path, **FLAT[i], **log),
+    "mat": lambda path, i, log: scipy.io.savemat(path, RIGS[i] | log),
+    "h5": lambda path, i, log: h5(path, FLAT[i] | log),
+}
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+@pytest.mark.parametrize("i", [0, 1])
+def test_single_values_of_a_file_in_formulas(tmp_path, ending, i):
+    t = 0.01 * np.arange(40)
+    current, path = np.cos(3 * t), tmp_path / f"a.{ending}"
+    WRITERS[ending](path, i, {"t": t.tolist(), "current": current.tolist()})
+    record = read_recordings(path, derive={"F": "gain * current - car.mass"})[
+        i if ending[0] == "l" else 0
+    ].record
+    np.testing.assert_allclose(record["F"], FLAT[i]["gain"] * current - FLAT[i]["car.mass"])
+    assert set(record.arrays) == {"current", "F"}
+    with pytest.raises(ModelError, match=r"no column or single value 'car\.lost' in the"):
+        read_recordings(path, derive={"F": "car.lost * current"})

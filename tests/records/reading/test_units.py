@@ -19,7 +19,7 @@ SPELLED = {
     "m/s^2": {"m/s/s": 1, "m·s⁻²": 1, "m/(s^2)": 1, "mm/s²": 1e-3, "G": 9.80665,
               "g-force": 9.80665, "Gal": 0.01, "mGal": 1e-5},
     "N": {"kgf": 9.80665, "tf": 9806.65, "kips": 1e3 * POUND_FORCE, "KN": 1e3, "Newtons": 1,
-          "µN": 1e-6, "klbf": 1e3 * POUND_FORCE, "dyn": 1e-5},
+          "µN": 1e-6, "klbf": 1e3 * POUND_FORCE, "dyn": 1e-5, "milliN": 1e-3},
     "N m": {"N·mm": 1e-3, "kN-m": 1e3, "N∙m": 1, "ft-lb": POUND_FORCE * 0.3048,
             "in·lbf": POUND_FORCE * INCH, "lb-in": POUND_FORCE * INCH, "Newton meters": 1,
             "kgf·cm": 0.0980665, "ozf-in": POUND_FORCE * INCH / 16, "mNm": 1e-3},
@@ -49,7 +49,8 @@ def test_spellings(si, text, factor):
 
 
 NAMES = ["x", "left", "Mm", "m/s*s", "N/m s", "°C", "mms-1x", "m//s", "(m", "m)", "", "2", "2 m",
-         "(" * 2000 + "m" + ")" * 2000]  # fmt: skip
+         "(" * 2000 + "m" + ")" * 2000,
+         "km^999999", "fin", "damp", "m" * 10**5, "1if", "m/"]  # fmt: skip
 
 
 @pytest.mark.parametrize("text", NAMES)
@@ -57,7 +58,7 @@ def test_what_is_no_unit_or_could_be_two(text):
     assert not readings(text)
 
 
-@pytest.mark.parametrize("text", ["g", "lb", "oz", "mg", "grad", "Pounds"])
+@pytest.mark.parametrize("text", ["g", "lb", "oz", "mg", "grad", "Pounds", "g " * 60])
 def test_a_spelling_with_two_meanings(text):
     assert len(readings(text)) == 2
 

@@ -116,6 +116,7 @@ class Channels:
     - `left_out`: name to the reason why this part of the file is no column.
     - `notes`: what was decided on reading, in words.
     - `nested`: whether names tell of structures or groups, some of which may be recordings.
+    - `scalars`: name to a single value beside the columns, which formulas may use.
     - `parts`: groups that the format itself sets apart, sheets of a workbook: columns of one are
       called `part/column`.
     """
@@ -127,6 +128,7 @@ class Channels:
     notes: list[str] = field(default_factory=list)
     nested: bool = False
     parts: list[str] = field(default_factory=list)
+    scalars: dict[str, float] = field(default_factory=dict)
 
     def named(self, column: str) -> tuple[str, str | None]:
         """A column's name without its unit, and the unit that the file or the name states."""
@@ -148,6 +150,7 @@ class Channels:
         self.units.update(other.units)
         self.time_of.update(other.time_of)
         self.left_out.update(other.left_out)
+        self.scalars.update(other.scalars)
 
     def note_left_out(self, kind: str) -> None:
         """Note why each part that is left out is, which the format calls `kind`."""
@@ -159,7 +162,8 @@ def vectors(arrays: Mapping[str, object]) -> Channels:
     """Numeric arrays as columns: vectors by their name, matrices as `name[0]`, `name[1]`, ...
 
     The long side of a matrix is that of the samples. Dates, durations and stamps as text are
-    seconds. Scalars are left out silently; square matrices, other text and objects with the reason.
+    seconds. Single values are scalars. Left out are square matrices, other text and objects, with
+    the reason.
     """
     found = Channels({})
     for name, values in arrays.items():
@@ -175,7 +179,9 @@ def vectors(arrays: Mapping[str, object]) -> Channels:
             matrix = array.reshape(sides)
             by_channel = enumerate(matrix if sides[0] < sides[1] else matrix.T)
             found.columns.update({f"{name}[{i}]": row.astype(float) for i, row in by_channel})
-        elif sides:
+        elif not sides:
+            found.scalars[name] = float(array.flat[0])
+        else:
             found.left_out[name] = f"its shape {array.shape} is not that of channels over time"
         if len(found.columns) > MOST_COLUMNS:
             raise DataError(f"has more than {MOST_COLUMNS} columns; no more are read.")
@@ -275,6 +281,11 @@ def called(channels: Channels, new: Callable[[str], str]) -> Channels:
         units={new(name): unit for name, unit in channels.units.items()},
         time_of={new(name): new(time) for name, time in channels.time_of.items()},
         left_out={new(name): why for name, why in channels.left_out.items()},
+        # A scalar that would be called as another one keeps its whole name.
+        scalars={
+            name if new(name) in channels.scalars else new(name): value
+            for name, value in channels.scalars.items()
+        },
     )
 
 
@@ -334,13 +345,9 @@ def read_array(stream: IO[bytes], size: int) -> np.ndarray | None:
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Shape, whether it runs along columns, and type of the array that follows."""
-    match np.lib.format.read_magic(stream):
-        case (1, 0):
-            return np.lib.format.read_array_header_1_0(stream)
-        case (2, 0):
-            return np.lib.format.read_array_header_2_0(stream)
-        case version:
-            raise ValueError(f"arrays of version {version} are not read.")
+    if (version := np.lib.format.read_magic(stream)) not in ((1, 0), (2, 0)):
+        raise ValueError(f"arrays of version {version} are not read.")
+    return getattr(np.lib.format, f"read_array_header_{version[0]}_0")(stream)
 
 
 READERS = {
@@ -401,20 +408,16 @@ def read_channels(
         takes = inspect.signature(reader).parameters
         # A tab as it can be typed.
         delimiter = "\t" if delimiter == "\\t" else delimiter
-        if delimiter and "delimiter" not in takes:
-            raise DataError(f"{file.name}: a delimiter is for text files.")
-        if (decimal and "decimal" not in takes) or (columns and "columns" not in takes):
-            raise DataError(
-                f"{file.name}: decimal sign and names of columns are for text files and "
-                f"spreadsheets."
-            )
+        given = {"delimiter": delimiter, "decimal": decimal, "columns": columns}
+        if needless := [name for name, value in given.items() if value and name not in takes]:
+            kinds = "text files" + " and spreadsheets" * (needless[0] != "delimiter")
+            raise DataError(f"{file.name}: '{needless[0]}' is for {kinds}.")
         if decimal not in (None, ".", ","):
             raise DataError(f"{file.name}: the decimal sign must be '.' or ','; got {decimal!r}.")
         if delimiter is not None and (
             len(delimiter) != 1 or delimiter in '"\r\n' or not delimiter.isascii()
         ):
             raise DataError(f"{file.name}: the delimiter must be one character; got {delimiter!r}.")
-        given = {"delimiter": delimiter, "decimal": decimal, "columns": columns}
         dialect = {name: value for name, value in given.items() if name in takes}
         require_memory(
             f"reading {file.name}", MEMORY_PER_BYTE * size_of(file), "Read a part of the file."

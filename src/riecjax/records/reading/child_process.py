@@ -28,7 +28,6 @@ from riecjax.errors import DataError
 from riecjax.extensions import require_packages
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, foreign_reader, size_of
 from riecjax.runtime import free_memory
-from riecjax.whole_files import temporary
 
 PATIENCE = 60.0
 """Seconds that reading may take, besides those that the file's size explains."""
@@ -106,9 +105,8 @@ class _Reader:
     """The reading process and the folder for what it hands over, and what crashes leave behind."""
 
     def __init__(self):
-        self.ending = contextlib.ExitStack()
-        place = temporary(Path(tempfile.gettempdir()), is_folder=True)
-        folder = str(self.ending.enter_context(place))
+        # Nothing but `end` removes it: a fork forgets the reader of its parent, and must not.
+        folder = tempfile.mkdtemp()
         self.out = Path(folder) / "channels.npz"
         self.made_for = _surroundings()
         places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
@@ -143,7 +141,7 @@ class _Reader:
     def end(self) -> None:
         self.process.kill()
         self.process.communicate()
-        self.ending.close()
+        shutil.rmtree(self.out.parent, ignore_errors=True)
 
 
 _lock = threading.RLock()

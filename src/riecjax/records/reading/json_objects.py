@@ -44,7 +44,7 @@ def read_json(file: Path) -> Channels:
 
     Rows may be arrays below one of names; pandas' forms `split` and `columns` are read as well, and
     lines of objects. Names as in [`read_json_lines`][], below the object in which all arrays lie. A
-    `unit` beside an array is its unit.
+    `unit` beside an array is its unit. Single values are scalars.
 
     **Raises:** `DataError` for damaged files.
     """
@@ -98,8 +98,10 @@ def _objects(lines: Iterable[bytes], notes: list[str]) -> Iterator[dict[str, Any
 
 
 def _tables(name: str, document: Any) -> Iterator[tuple[str, list[Any]]]:
-    """Arrays of a document by their name."""
+    """Arrays of a document by their name, and single values as arrays of one."""
     for inner, rows in _leaves(name, document):
+        if isinstance(rows, int | float):
+            yield inner, [rows]
         if not isinstance(rows, list):
             continue
 
@@ -140,7 +142,9 @@ def _channels(tables: Mapping[str, Iterable[Any]], texts: Mapping[str, str] = {}
     for table, rows in tables.items():
         part = gathered(table, rows)
         columns = {k: v for k, v in part.columns.items() if v.size > 1}
-        whole.take_all(replace(part, columns=columns))
+        scalars = {k: float(v[0]) for k, v in part.columns.items() if v.size == 1}
+        whole.take_all(replace(part, columns=columns, scalars=scalars))
+        check_declared(len(whole.columns))
     whole.note_left_out("")
     return with_structure_times(without_common_group(with_units_beside(whole, texts), "."))
 
@@ -151,17 +155,16 @@ def gathered(table: str, rows: Iterable[Any]) -> Channels:
     **Arguments:** `rows`, of dictionaries and lists in each other, or of single values.
     """
     columns: dict[str, dict[int, Any]] = {}
-    count = filled = 0
-    for row in rows:
+    count = 0
+    for count, row in enumerate(rows, start=1):
         for name, value in _leaves(table, row, in_lists=True):
             column = columns.setdefault(name or "values", {})
             if count in column:
                 raise DataError(f"two fields are called '{name or 'values'}'.")
             column[count] = value
-            filled += 1
-        count += 1
         check_declared(len(columns))
     check_declared(unpacked=8 * count * len(columns))
+    filled = sum(map(len, columns.values()))
     if filled < count * len(columns) / SPARSEST and count * len(columns) > FEWEST_CHECKED:
         raise DataError(
             f"its {count} rows have {len(columns)} names and only {filled} values; give a field the"
@@ -169,10 +172,11 @@ def gathered(table: str, rows: Iterable[Any]) -> Channels:
         )
     found = Channels({})
     for name, column in columns.items():
-        values = [column.get(place) for place in range(count)]
-        text = next((value for value in values if isinstance(value, str)), None)
-        if text is None:
-            found.take(name, np.array([np.nan if v is None else float(v) for v in values]))
-        else:
-            found.take(name, *of_texts(values), why=f"it holds text, {text[:40]!r}")
+        own = [*column.values()]
+        text = next((value for value in own if isinstance(value, str)), None)
+        read, unit = of_texts(own) if text is not None else (np.array(own, float), "")
+        values = None if read is None else np.full(count, np.nan)
+        if values is not None:
+            values[np.array([*column]) - 1] = read
+        found.take(name, values, unit, why=f"it holds text, {str(text)[:40]!r}")
     return found

@@ -1,6 +1,7 @@
-"""Reading Parquet files."""
+"""Reading Parquet files: in this process, for PyArrow survives damaged ones."""
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -9,19 +10,16 @@ import pyarrow as pa
 import pyarrow.types as types
 from pyarrow import parquet
 
-from riecjax.records.reading.channels import Channels, check_declared
-from riecjax.records.reading.child_process import apart
+from riecjax.records.reading.channels import Channels, check_declared, foreign_reader
 from riecjax.records.reading.literals import compute, floats, of_texts
 from riecjax.records.reading.times import TIME_COLUMNS, unwrapped
 from riecjax.runtime import require_memory
 
-BESIDE = 6
-"""Columns of numbers that PyArrow holds beside those that are read, at most: with time stamps."""
 UNNAMED_INDEX = "__index_level_0__"
 """What pandas calls the index of a frame when it has no name."""
 
 
-@apart("Parquet")
+@foreign_reader("Parquet")
 def read_parquet(file: Path) -> Channels:
     """Read a Parquet file: numbers, and time stamps and durations as seconds, also as text.
 
@@ -31,7 +29,7 @@ def read_parquet(file: Path) -> Channels:
     """
     # Not by its name, by which PyArrow would look for partitions in folders beside it.
     with (
-        file.open("rb") as stream,
+        pa.OSFile(os.fsencode(file)) as stream,
         parquet.ParquetFile(stream, page_checksum_verification=True) as source,
     ):
         schema, metadata = source.schema_arrow, source.metadata
@@ -47,24 +45,24 @@ def read_parquet(file: Path) -> Channels:
         checks = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal,
                   types.is_timestamp, types.is_duration, types.is_time)  # fmt: skip
         names = [f.name for f in schema if any(check(kinds[f.name]) for check in checks)]
+        texts = [n for n, k in kinds.items() if types.is_string(k) or types.is_large_string(k)]
         check_declared(names=names)
-
-        def column(name: str) -> Any:
-            return compute.cast(source.read(columns=[name]).column(0), kinds[name])
-
-        # Numbers are held here and, once handed over, there.
-        held = 8.0 * metadata.num_rows * (2 * len(names) + BESIDE)
+        # PyArrow's columns and these, and one to convert each.
+        held = 8.0 * metadata.num_rows * (2 * len(names) + 1)
         require_memory("reading its columns", held, "Read a part of the file.")
-        # One after the other: a table of all takes as much again as their numbers.
         found = Channels({})
+        table = source.read(columns=names)
         for name in names:
             unit = (schema.field(name).metadata or {}).get(b"unit", b"")
-            found.take(name, _numbers(column(name)), unit.decode(errors="replace"))
-        for name in [name for name in kinds if name not in found.columns]:
-            read = None, ""
-            if types.is_string(kinds[name]) or types.is_large_string(kinds[name]):
-                read = of_texts(compute.cast(column(name), pa.string()))
-            found.take(name, *read, why=f"it holds {schema.field(name).type}, not numbers")
+            values = _numbers(compute.cast(table.column(name), kinds[name]))
+            found.take(name, values, unit.decode(errors="replace"))
+        del table
+        with parquet.ParquetFile(
+            stream, metadata=metadata, read_dictionary=texts, page_checksum_verification=True
+        ) as source:
+            for name in [name for name in kinds if name not in found.columns]:
+                read = of_texts(_text(source, name)) if name in texts else (None, "")
+                found.take(name, *read, why=f"it holds {schema.field(name).type}, not numbers")
         described = json.loads((schema.metadata or {}).get(b"pandas", b"{}"))
     found.note_left_out("column")
     # The only time in the file may be the index of a frame of pandas.
@@ -79,16 +77,30 @@ def read_parquet(file: Path) -> Channels:
     return found
 
 
+def _text(source: parquet.ParquetFile, name: str) -> Any:
+    """A column of strings, of which a file of any size may hold any number, each of them once."""
+    column = source.read(columns=[name]).column(name)
+    if types.is_dictionary(column.type):
+        lengths = (
+            compute.take(compute.binary_length(chunk.dictionary), chunk.indices)
+            for chunk in column.chunks
+        )
+        check_declared(unpacked=sum(compute.sum(each).as_py() or 0 for each in lengths))
+    return compute.cast(column, pa.string())
+
+
 def _numbers(column: Any) -> np.ndarray:
     kind = column.type
     if not types.is_temporal(kind):
-        return floats(compute.cast(column, pa.float64(), safe=False))
+        numbers = compute.cast(column, pa.float64(), safe=False)
+        # A copy takes as long as reading does. Nothing writes to columns.
+        is_whole = numbers.num_chunks == 1 and not numbers.null_count
+        return np.from_dlpack(numbers.chunk(0)) if is_whole else floats(numbers)
     ticks = np.timedelta64(1, "s") / np.timedelta64(1, kind.unit)
     if types.is_time32(kind):
         column = compute.cast(column, pa.int32())
     counts = compute.cast(column, pa.int64())
-    first = compute.min(counts).as_py() if types.is_timestamp(kind) else 0
-    since = (
-        floats(compute.cast(compute.subtract(counts, first or 0), pa.float64(), safe=False)) / ticks
-    )
-    return unwrapped(since) if types.is_time(kind) else since
+    if types.is_timestamp(kind):
+        counts = compute.subtract(counts, compute.min(counts))
+    seconds = floats(compute.cast(counts, pa.float64(), safe=False)) / ticks
+    return unwrapped(seconds) if types.is_time(kind) else seconds

@@ -186,8 +186,10 @@ def record_from_channels(
                 measured[name] = time_of[known], values[name][known]
             axis, values = on_grid(measured, rate, matter)
         clock, measured_values = {} if axis is None else {"t": axis}, values.copy()
+        # Groups of HDF5 are parted by strokes, which divide in a formula.
+        scalars = {n.replace("/", "."): np.array(v) for n, v in channels.scalars.items()}
         for name, formula in formulas.items():
-            values[name] = derived(formula, clock | values)
+            values[name] = derived(formula, scalars | clock | values)
         values = {name: array for name, array in values.items() if name not in by_products}
         units = {name: unit for name, unit in (units | formula_units).items() if name in values}
         given_step = step if axis is None else None
@@ -199,7 +201,7 @@ def record_from_channels(
         # What its samples tell of its noise, and of the signals of formulas by their columns, where
         # nothing else says it.
         formulas = {k: f for k, f in formulas.items() if k not in record.noise.kernels}
-        columns = values | measured_values
+        columns = scalars | values | measured_values
         replaced = {
             k: replace(record.signal(k), values=raw, present=~np.isnan(raw))
             for k, raw in measured_values.items()
@@ -481,6 +483,12 @@ def _alone(channels: Channels, member: Member) -> Channels:
             source.setdefault(name, name)
     alone = Channels({}, left_out=channels.left_out, notes=channels.notes)
     inner = {name: own for own, name in source.items()}
+    prefixes = (name.removesuffix(own) for own, name in member.items() if name.endswith(own))
+    prefix = next(prefixes, "")
+    own_scalars = {
+        n.removeprefix(prefix): v for n, v in channels.scalars.items() if n.startswith(prefix)
+    }
+    alone.scalars.update(channels.scalars | own_scalars)
     for name, own in inner.items():
         alone.take(own, channels.columns[name], channels.units.get(name, ""))
         if (time := channels.time_of.get(name)) in inner:

@@ -1,8 +1,8 @@
 """Units: how names and rows say them, what they are in SI, and what models read instead.
 
-However it is spelled, `m/s^2`, `m s-2`, `N·mm`, `ft-lb`, `U/min`, a unit is a factor times powers
-of SI's base units. Not pint: importing it and building its registry takes 0.23 s, an eighth of a
-second run of `identify`; and it takes `g` for grams and knows no `U/min`.
+However it is spelled, `m/s^2`, `m s-2`, `N·mm`, `ft-lb`, a unit is a factor times powers of SI's
+base units. `units.txt` says which there are. Not pint: to import it takes 0.3 s, it reads `fin` as
+femtoinches, and parses a text of 100 kB for 100 s.
 """
 
 import functools
@@ -10,75 +10,43 @@ import itertools
 import math
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import NamedTuple
 
 from riecjax.errors import DataError
 
-GRAVITY, POUND, TURN = 9.80665, 0.45359237, 6.283185307179586
-POUND_FORCE = POUND * GRAVITY
+_LINES = Path(__file__).with_name("units.txt").read_text(encoding="utf-8").splitlines()
 
-BASE = ("kg", "m", "A", "K", "rad", "s")
-PREFIXES = {"da": 10.0, "h": 100.0, "d": 0.1, "c": 0.01, "m": 1e-3, "u": 1e-6, "n": 1e-9,
-            "p": 1e-12, "f": 1e-15, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}  # fmt: skip
-PREFIXED = {
-    **{base: (1.0, base) for base in BASE if base != "kg"},
-    "g": (1e-3, "kg"), "gram": (1e-3, "kg"), "gn": (GRAVITY, "m/s^2"), "N": (1.0, "kg m/s^2"),
-    "lbf": (POUND_FORCE, "N"), "Nm": (1.0, "N m"), "Ns": (1.0, "N s"), "Nms": (1.0, "N m s"),
-    "Pa": (1.0, "N/m^2"), "bar": (1e5, "Pa"), "J": (1.0, "N m"), "eV": (1.602176634e-19, "J"),
-    "W": (1.0, "J/s"), "V": (1.0, "W/A"), "C": (1.0, "A s"), "F": (1.0, "C/V"),
-    "S": (1.0, "A/V"), "Ohm": (1.0, "V/A"), "Wb": (1.0, "V s"), "H": (1.0, "Wb/A"),
-    "T": (1.0, "Wb/m^2"), "Hz": (1.0, "1/s"), "rpm": (TURN / 60, "rad/s"),
-    "l": (1e-3, "m^3"), "L": (1e-3, "m^3"), "Gal": (0.01, "m/s^2"),
-}  # fmt: skip
-"""Units that take a prefix: factor, and unit that is multiplied by it."""
-PLAIN = {
-    "micron": (1e-6, "m"), "in": (0.0254, "m"), "ft": (0.3048, "m"), "yd": (0.9144, "m"),
-    "mil": (2.54e-5, "m"), "mile": (1609.344, "m"), "mph": (0.44704, "m/s"),
-    "kph": (1 / 3.6, "m/s"), "kn": (1852 / 3600, "m/s"), "fps": (0.3048, "m/s"),
-    "ips": (0.0254, "m/s"), "deg": (TURN / 360, "rad"), "gon": (TURN / 400, "rad"),
-    "arcmin": (TURN / 21600, "rad"), "arcsec": (TURN / 1296000, "rad"), "rev": (TURN, "rad"),
-    "dps": (TURN / 360, "rad/s"), "rps": (TURN, "rad/s"), "kgf": (GRAVITY, "N"),
-    "gf": (1e-3 * GRAVITY, "N"), "tf": (1e3 * GRAVITY, "N"), "dyn": (1e-5, "N"),
-    "ozf": (POUND_FORCE / 16, "N"),
-    "kip": (1e3 * POUND_FORCE, "N"), "Nmm": (1e-3, "N m"), "Ncm": (0.01, "N m"),
-    "psi": (POUND_FORCE / 0.0254**2, "Pa"), "ksi": (1e3 * POUND_FORCE / 0.0254**2, "Pa"),
-    "atm": (101325.0, "Pa"), "torr": (101325 / 760, "Pa"), "mmHg": (133.322387415, "Pa"),
-    "t": (1e3, "kg"), "lbm": (POUND, "kg"), "ozm": (POUND / 16, "kg"),
-    "slug": (POUND_FORCE / 0.3048, "kg"), "hp": (550 * 0.3048 * POUND_FORCE, "W"),
-    "min": (60.0, "s"), "h": (3600.0, "s"),
-}  # fmt: skip
-"""Units that take none."""
-ALIASES = {
-    "meter": "m", "metre": "m", "second": "s", "sec": "s", "newton": "N", "pascal": "Pa",
-    "volt": "V", "ampere": "A", "amp": "A", "radian": "rad", "watt": "W", "joule": "J",
-    "hertz": "Hz", "liter": "l", "litre": "l", "tonne": "t", "inch": "in", "inche": "in",
-    "foot": "ft", "feet": "ft", "thou": "mil", "kmh": "kph", "kmph": "kph", "kt": "kn",
-    "kts": "kn", "knot": "kn", "°": "deg", "Grad": "deg", "degree": "deg", "turn": "rev",
-    "revolution": "rev", "gee": "gn", "gravity": "gn", "kp": "kgf", "lb_f": "lbf", "Ω": "Ohm",
-    "minute": "min", "hr": "h", "hour": "h", "VDC": "V", "psig": "psi", "psia": "psi",
-    "barg": "bar", "bara": "bar", "MM": "mm", "CM": "cm", "IN": "in", "FT": "ft",
-}  # fmt: skip
-"""Other words for a unit; of these, and of all of three letters or more, capitals are no others."""
-LONG_PREFIX = {"milli": "m", "centi": "c", "micro": "u", "kilo": "k", "mega": "M", "nano": "n"}
-WHOLE = {
-    "1/min": "rpm", "min^-1": "rpm", "min-1": "rpm", "/min": "rpm", "r/min": "rpm",
-    "U/min": "rpm", "Umin": "rpm", "tr/min": "rpm", "U/s": "rps", "r/s": "rps", "G": "gn",
-    "g0": "gn", "g_n": "gn", "g's": "gn", "g-force": "gn", "ftlb": "ft lbf", "lbft": "ft lbf",
-    "inlb": "in lbf", "lbin": "in lbf",
-}  # fmt: skip
+
+def _definitions(kind: str) -> dict[str, str]:
+    """Names, parted by spaces, to what they mean."""
+    lines = (line.removeprefix(f"{kind}: ") for line in _LINES if line.startswith(f"{kind}: "))
+    parts = (each.partition(" = ") for line in lines for each in line.split("; "))
+    return {names: meaning for names, _, meaning in parts}
+
+
+def _by_name(kind: str) -> dict[str, str]:
+    defined = _definitions(kind).items()
+    return {name: meaning for names, meaning in defined for name in names.split(" ")}
+
+
+BASE = tuple(k.split(" ")[0].lstrip("*") for k, of in _definitions("units").items() if of == "1")
+PREFIXES = {name: float(factor) for name, factor in _by_name("prefixes").items()}
+UNITS = {
+    name.lstrip("*"): (names.split(" ")[0], *meaning.partition(" ")[::2])
+    for names, meaning in _definitions("units").items()
+    for name in names.split(" ")
+}
+"""By every name of a unit, the first, with a `*` if it takes a prefix, its factor, and of what."""
+WHOLE = _by_name("whole")
 """Units that are no products of others, or would be others as such."""
-POUNDS = ("lb", "lbs", "LB", "LBS", "Lbs", "pound", "pounds", "Pound", "Pounds")
-DOUBLE = {
-    **dict.fromkeys(POUNDS, ("lbf", "lbm")), "oz": ("ozf", "ozm"), "g": ("gn", "gram"),
-    "mg": ("mgn", "mgram"), "ug": ("ugn", "ugram"), "grad": ("deg", "gon"),
-}  # fmt: skip
+DOUBLE = {name: meanings.split(" ") for name, meanings in _by_name("double").items()}
 """Units whose spelling has two meanings."""
-USUAL = (
-    "m", "m/s", "m/s^2", "m/s^3", "N", "N m", "rad", "rad/s", "rad/s^2", "Pa", "kg", "V", "A",
-    "Wb", "W", "Hz", "s", "N/m", "N s/m", "N m/rad", "N m s/rad", "kg/s", "kg m^2",
-    "m^2", "m^3", "m^3/s", "T", "Ohm", "H", "V/m", "N/V", "N/A",
-)  # fmt: skip
+USUAL = tuple(_definitions("usual"))
 """What quantities are said to be in, in SI."""
+SECONDS = {name: float(factor) for name, factor in _by_name("seconds").items()}
+"""Seconds in each unit of time."""
+MINUTE, HOUR, DAY = (SECONDS[name] for name in ("min", "h", "d"))
 
 _SPELLED = {"⁻¹": "^-1", "⁻²": "^-2", "⁻³": "^-3", "²": "^2", "³": "^3", "**": "^", "µ": "u",
             "μ": "u", "º": "°", "\N{MINUS SIGN}": "-"}  # fmt: skip
@@ -108,15 +76,16 @@ _ONE = Unit(1.0, (0,) * len(BASE))
 def readings(text: str) -> Mapping[str, Unit]:
     """What a text may mean as a unit, by a spelling that says so; of two where it is double.
 
-    Where quantities are usually in one and not in the other, that is meant: in `ft-lb`, the pound
-    is a force.
+    A word means the same wherever it stands in the text. Where quantities are usually in one and
+    not in the other, that is meant: in `ft-lb`, the pound is a force.
     """
     spelled = functools.reduce(lambda s, old: s.replace(old, _SPELLED[old]), _SPELLED, text.strip())
     spelled = WHOLE.get(spelled, spelled)
     found: dict[str, Unit] = {}
-    for choice in itertools.product(*(DOUBLE[word] for word in _WORD.findall(spelled))):
-        words = iter(choice)
-        one = _WORD.sub(lambda match, words=words: next(words), spelled)
+    words = dict.fromkeys(_WORD.findall(spelled))
+    for choice in itertools.product(*map(DOUBLE.__getitem__, words)):
+        meant = dict(zip(words, choice))
+        one = _WORD.sub(lambda match, meant=meant: meant[match[0]], spelled)
         if (unit := _unit(one)) and unit not in found.values():
             found[one] = unit
     return {one: unit for one, unit in found.items() if unit.powers in _usual()} or found
@@ -158,7 +127,7 @@ def _unit(text: str) -> Unit | None:
         return None
     try:
         unit = _product(tokens)
-    except (ValueError, LookupError, RecursionError):
+    except (ValueError, LookupError, RecursionError, OverflowError):
         return None
     return None if tokens else unit
 
@@ -190,41 +159,27 @@ def _product(tokens: list[str]) -> Unit:
             raise ValueError
 
 
+@functools.cache
 def _named(name: str) -> Unit:
-    """The unit of one name, perhaps with a prefix.
+    """The unit of one name, perhaps with a prefix; a word of three letters or more, which is no
+    symbol, perhaps in capitals or plural.
 
     **Raises:** `LookupError` if there is none.
     """
-    if name in ALIASES:
-        return _named(ALIASES[name])
-    if name in BASE:
-        return Unit(1.0, tuple(int(name == base) for base in BASE))
-    if name in _TABLE:
-        factor, of = _TABLE[name]
-        return Unit(factor, _ONE.powers).times(_unit(of) or _ONE, 1)
-    for prefix, factor in PREFIXES.items():
-        base = name.removeprefix(prefix)
-        # No one measures in megametres: Mm is a slip for mm.
-        if base != name and base in PREFIXED and name != "Mm":
-            return Unit(factor, _ONE.powers).times(_named(base), 1)
-    return _named(_word(name))
-
-
-_TABLE = PREFIXED | PLAIN
-
-
-def _word(name: str) -> str:
-    """A word of three letters or more without its capitals and its plural, its prefix short.
-
-    **Raises:** `LookupError` if it is none.
-    """
-    for word in (name.lower(), name.lower().removesuffix("s")):
-        if len(word) > 2 and word != name and (word in ALIASES or word in _TABLE):
-            return word
-        for long, short in LONG_PREFIX.items():
-            base = word.removeprefix(long)
-            if base != word and ALIASES.get(base, base) in PREFIXED:
-                return short + ALIASES.get(base, base)
+    for word in (name, name.lower(), name.lower().removesuffix("s")):
+        if word != name and len(word) <= 2:
+            continue
+        if word in UNITS:
+            first, factor, of = UNITS[word]
+            powers = tuple(int(first.lstrip("*") == base) for base in BASE)
+            return Unit(float(factor), powers).times(_unit(of) or _ONE, 1)
+        for prefix, factor in PREFIXES.items():
+            base = word.removeprefix(prefix)
+            first = UNITS.get(base, ("",))[0]
+            # No one measures in megametres: Mm is a slip for mm.
+            is_symbol = first == f"*{base}" and word == name != "Mm"
+            if base != word and (is_symbol or (first.startswith("*") and len(prefix) > 2)):
+                return Unit(factor, _ONE.powers).times(_named(base), 1)
     raise LookupError(name)
 
 
@@ -247,20 +202,6 @@ _BEHIND = re.compile(
 DOUBTFUL = ("cm", "g", "in", "ft", "bar", "psi")
 """What may be a unit behind a name, or say something else: the centre of mass, an input, a mean, an
 angle."""
-
-MINUTE, HOUR = PLAIN["min"][0], PLAIN["h"][0]
-DAY = 24 * HOUR
-SECONDS = {
-    **dict.fromkeys(("s", "S", "sec", "Sec", "secs", "second", "seconds"), 1.0),
-    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds", "millis"), PREFIXES["m"]),
-    **dict.fromkeys(("us", "µs", "μs", "usec", "microsecond", "microseconds", "micros"),
-                    PREFIXES["u"]),
-    **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds", "nanos"), PREFIXES["n"]),
-    **dict.fromkeys(("min", "minute", "minutes"), MINUTE),
-    **dict.fromkeys(("h", "hr", "hour", "hours"), HOUR),
-    **dict.fromkeys(("d", "day", "days"), DAY),
-}  # fmt: skip
-"""Seconds in each unit of time."""
 
 
 def is_known(text: str) -> bool:
