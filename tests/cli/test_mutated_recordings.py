@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.robustness.__main__ import Fuzzed, fuzzed, judged, outcome
+from benchmarks.robustness.fuzzing import Fuzzed, fuzzed, judged, outcome
 from benchmarks.robustness.mutations import NAMES, TRUTH, WRITERS, mutated, rigs
 
 from nightly import nightly, nightly_among
