@@ -27,7 +27,7 @@ from riecjax.records.reading.units import (
     unit_behind,
 )
 from riecjax.records.record import Record
-from riecjax.records.time_base import StampError
+from riecjax.records.time_base import StampError, time_base
 from riecjax.settings import Read, Select
 
 
@@ -187,6 +187,8 @@ def record_from_channels(
         units = {name: unit for name, unit in (units | formula_units).items() if name in values}
         given_step = step if axis is None else None
         record = Record.from_samples(values, time=axis, time_step=given_step, units=units)
+        if rate is None and axis is not None:
+            notes = (*notes, *time_base(axis).words)
         given = given_noise(selection.noise, record.arrays)
         record = record.with_noise(given)
         if rate is not None and axis is not None:
