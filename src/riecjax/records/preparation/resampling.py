@@ -72,6 +72,8 @@ BYTES_OF_IDENTIFYING = 170.0
 """What a sample of one channel takes in `riecjax identify`, as measured from 12,000 on."""
 LONGEST_STEP = 3.0
 """Usual steps of a channel past which samples are missing between two of its stamps."""
+AROUND = 3
+"""Steps to each side whose median is usual there."""
 SAME_RATE = 0.01
 """Share by which a channel may be faster than the grid without a low-pass."""
 EVEN = 1e-4
@@ -220,7 +222,7 @@ def on_grid(
     channels: Mapping[str, tuple[np.ndarray, np.ndarray]],
     rate: float,
     deciding: Collection[str] = (),
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
     """Bring channels of different and uneven times to one even grid.
 
     The grid begins with the latest first sample among the channels and ends before the earliest
@@ -229,7 +231,8 @@ def on_grid(
     one is interpolated by a cubic spline through its true times; a faster one is low-passed without
     phase first (flat to 0.8 of half the new rate, 80 dB down from half of it on), which costs 26
     samples of the grid on both sides of a gap. Nothing is computed across a gap: a NaN, or a step
-    of more than 3 of the channel's usual (median) ones.
+    that is longer than the grid's, than 3 of the channel's usual (median) ones, and than 3 of those
+    around. So rows by event, as of each turn of a wheel, may come seldom for a while.
 
     **Arguments:**
 
@@ -239,8 +242,8 @@ def on_grid(
     - `deciding`: the channels that the grid begins and ends with, by default all; the others are
       NaN where they have not begun or have ended.
 
-    **Returns:** time in seconds, shape `(m,)`, and name to values of shape `(m,)`, NaN where the
-    channel has a gap.
+    **Returns:** time in seconds, shape `(m,)`; name to values of shape `(m,)`, NaN where the
+    channel has a gap; and in words what is left out.
 
     **Raises:** `DataError` for time that does not increase, values that are infinite, no common
     time, stretches that are all too short, or a grid of too many samples.
@@ -248,7 +251,7 @@ def on_grid(
     _check_rate(rate)
     if not channels:
         raise DataError("there is no channel to bring to a common rate.")
-    sampled = {name: _channel(name, *given) for name, given in channels.items()}
+    sampled = {name: _channel(name, rate, *given) for name, given in channels.items()}
     decide = {name: sampled[name] for name in sampled if name in deciding} or sampled
     first = {name: channel.stretches[0][0][0] for name, channel in decide.items()}
     last = {name: channel.stretches[-1][0][-1] for name, channel in decide.items()}
@@ -279,7 +282,18 @@ def on_grid(
             f"Choose a higher rate, or leave this channel out."
         )
     rows = slice(full[0], full[-1] + 1)
-    return grid[rows], {n: v[rows] for n, v in columns.items() if not np.isnan(v[rows]).all()}
+    gaps = {
+        each.said: [n for n in decide if decide[n].said == each.said] for each in decide.values()
+    }
+    words = [f"{', '.join(names)}: {said}" for said, names in gaps.items() if said]
+    ends = grid.size - (rows.stop - rows.start)
+    if lost := grid.size - full.size:
+        words.append(
+            f"{lost / rate:.4g} s of {duration:.4g} s are left out at {rate:g} Hz: "
+            f"{ends / rate:.4g} s at the ends, {(lost - ends) / rate:.4g} s in gaps and beside"
+        )
+    columns = {n: v[rows] for n, v in columns.items() if not np.isnan(v[rows]).all()}
+    return grid[rows], columns, words
 
 
 def on_grid_noise(
@@ -310,13 +324,15 @@ def on_grid_noise(
 
 
 class _Channel(NamedTuple):
-    """Times and values of stretches without a gap, and the usual step in seconds."""
+    """Times and values of stretches without a gap, the usual step in seconds, and what is said of
+    steps that are gaps."""
 
     stretches: list[tuple[np.ndarray, np.ndarray]]
     step: float
+    said: str
 
 
-def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel:
+def _channel(name: str, rate: float, time: np.ndarray, values: np.ndarray) -> _Channel:
     time, values = np.asarray(time, float), np.asarray(values, float)
     if time.ndim != 1 or time.shape != values.shape or time.size < 2:
         raise DataError(
@@ -340,12 +356,33 @@ def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel:
     present = ~np.isnan(values)
     if not present.any():
         raise DataError(f"channel '{name}' holds no number at all.")
-    step = float(np.median(steps))
-    # A stretch ends at a missing value and before a step that is too long.
-    number = np.cumsum(np.concatenate([[False], steps > LONGEST_STEP * step]) | ~present)
+    # A stretch ends at a missing value and at a gap.
+    gaps = _are_gaps(steps, rate)
+    number = np.cumsum(np.concatenate([[False], gaps]) | ~present)
     edges = np.flatnonzero(np.diff(number[present])) + 1
     pieces = zip(np.split(time[present], edges), np.split(values[present], edges))
-    return _Channel([*pieces], step)
+    longest, total = np.max(steps, where=gaps, initial=0.0), np.sum(steps[gaps])
+    said = (
+        f"{gaps.sum()} step(s) of up to {longest:.4g} s are far longer than those around, and count"
+        f" as gaps, {total:.4g} s in all; what is written only when it changes was held there"
+    )
+    return _Channel([*pieces], float(np.median(steps)), said * bool(gaps.any()))
+
+
+def _are_gaps(steps: np.ndarray, rate: float) -> np.ndarray:
+    """Which of a channel's steps no curve goes across: those longer than the grid's, and than 3 of
+    the usual ones, of the channel and around.
+
+    Rows by event, as of a wheel's turns, come seldom for a while: their steps grow and shrink
+    again, where a pause of a logger is longer than the steps on either side.
+    """
+    long = np.flatnonzero(steps > max(LONGEST_STEP * np.median(steps), 1 / rate))
+    padded = np.pad(steps, AROUND, mode="edge")
+    near = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)[long]
+    before, after = (np.median(near[:, side], 1) for side in (slice(AROUND), slice(-AROUND, None)))
+    are_gaps = np.zeros(steps.size, bool)
+    are_gaps[long] = steps[long] > LONGEST_STEP * np.sqrt(before * after)
+    return are_gaps
 
 
 def _require_room(samples: float, recorded: int, how: str, remedy: str) -> None:
@@ -461,9 +498,9 @@ def spline_taps(positions: Float[np.ndarray, " m"]) -> Taps:
     Between samples a spline averages, on them it does not: the noise is not stationary. The kernel
     is the symmetric one with the mean of its autocovariances.
 
-    **Arguments:** `positions` at which the spline is evaluated, in samples, evenly spaced.
+    **Arguments:** `positions` at which the spline is evaluated, in samples, mostly evenly spaced.
     """
-    spacing = float(positions[1] - positions[0])
+    spacing = float(np.median(np.diff(positions)))
     knots = np.arange(-2 * KNOTS, 2 * KNOTS + 1)
     spline = scipy.interpolate.CubicSpline(knots, (knots == 0).astype(float))
 

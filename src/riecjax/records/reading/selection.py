@@ -179,7 +179,8 @@ def record_from_channels(
                 time_of = times[name] if step is None else step * np.arange(values[name].size)
                 known = ~np.isnan(time_of)
                 measured[name] = time_of[known], values[name][known]
-            axis, values = on_grid(measured, rate, matter)
+            axis, values, said = on_grid(measured, rate, matter)
+            notes = (*notes, *said)
         clock, measured_values = {} if axis is None else {"t": axis}, values.copy()
         for name, formula in formulas.items():
             values[name] = derived(formula, clock | values)
