@@ -87,18 +87,18 @@ def time_base(stamps: np.ndarray) -> TimeBase:
     # The median alone would be the rounded step of rounded stamps (0.01 or 0.02 for 0.0167); the
     # mean of all steps that are no pauses telescopes, and so has the rounding of two stamps only.
     usual = float(np.mean(steps[steps <= SHORTEST_PAUSE * np.median(steps)]))
-    rounding = _resolution(stamps, usual)
+    rounding = _resolution(stamps, 0.9 * usual)
     # A step of an even grid comes out longer by the rounding at most.
     pauses = np.flatnonzero(steps > max(SHORTEST_PAUSE * usual, usual + rounding)) + 1
     if pauses.size >= FEWEST_ODD:
         # A grid rounded to a digit not much shorter than its step has steps of one digit or of two,
         # which are no pauses: of 1 or 2 ms at 700 Hz.
-        short = float(np.mean(steps[steps <= 2.5 * np.median(steps)]))
-        longer = np.flatnonzero(steps > short + _resolution(stamps, short / 0.9)) + 1
+        short = float(np.mean(steps[steps <= 2 * SHORTEST_PAUSE * np.median(steps)]))
+        longer = np.flatnonzero(steps > short + _resolution(stamps, short)) + 1
         rounded = _grid_of_decimals(stamps, longer) if longer.size < pauses.size else None
         if rounded is not None:
             return rounded
-        coarse = _resolution(stamps, usual / 0.85) > 0.4 * usual
+        coarse = _resolution(stamps, SHORTEST_PAUSE * usual) > 0.4 * usual
         if coarse and pauses.size > MOST_LOST * steps.size:
             raise StampError(
                 f"its stamps are too coarse to tell lost rows from rounding: {pauses.size} of"
@@ -112,7 +112,7 @@ def time_base(stamps: np.ndarray) -> TimeBase:
     # rounding of a grid, while single steps differ by as much as a step.
     most = STEP_TOLERANCE * step + _finest(stamps) / 2
     uneven = np.max(np.abs(inner - step), initial=0.0) > most
-    if uneven and _distance_from_grid(stamps, pauses, step) > 1.01 * rounding:
+    if uneven and _distance_from_grid(stamps, pauses, step) > rounding:
         rounded = _rounded_grid(stamps)
         if rounded is not None:
             return rounded
@@ -230,11 +230,11 @@ def _distance_from_grid(stamps: np.ndarray, pauses: np.ndarray, step: float) -> 
     return max(float(np.ptp(part - step * np.arange(part.size))) / 2 for part in parts)
 
 
-def _resolution(stamps: np.ndarray, step: float) -> float:
+def _resolution(stamps: np.ndarray, below: float) -> float:
     """The digit or the 32-bit spacing that the stamps are rounded to; at least 64-bit's."""
     narrow = np.array_equal(stamps, stamps.astype(np.float32).astype(float))
     single = float(np.spacing(np.float32(np.max(np.abs(stamps))))) if narrow else 0.0
-    return max(_finest(stamps), single, _digit(stamps, 0.9 * step))
+    return max(_finest(stamps), single, _digit(stamps, below))
 
 
 def _finest(stamps: np.ndarray) -> float:
