@@ -76,7 +76,7 @@ def test_a_unit_goes_to_one_column_and_not_beside_a_scale():
 def test_preparation_is_taken_in_its_order_and_said():
     write(rows("t,x", "{i}"))
     recording = rx.read_recording("a.csv", start=1.0, stop=99.0, offsets=["x"], every=2)
-    assert recording.steps == ("cut from 1 s to the end", "x: mean removed", "every 2nd sample")
+    assert recording.steps == ("cut from 1 s to the end", "x: mean removed", "one sample of 2")
     assert [finding.code for finding in recording.findings] == ["nothing_cut"]
     np.testing.assert_allclose(recording.record["x"], np.arange(10, 40, 2) - 24.5)
     record = rx.read_record("a.csv", start=1.0, stop=99.0, offsets=["x"], every=2)

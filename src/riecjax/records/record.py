@@ -138,7 +138,8 @@ class Record(PlainMethods, Drawn, eqx.Module):
 
         - `signals`: name to samples, each of shape `(n,)`; NaN where a sample is missing.
         - `time`: time of each sample in seconds, shape `(n,)`; or give `time_step` in seconds.
-          Between evenly sampled stretches there may be pauses.
+          Between evenly sampled stretches there may be pauses, and stamps may jitter by 1 % of a
+          step.
         - `units`: name to unit, for those that are known.
 
         **Raises:** `DataError` for fewer than two samples, infinity, a signal without any sample, a

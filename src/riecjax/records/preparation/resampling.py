@@ -231,8 +231,8 @@ def on_grid(
     one is interpolated by a cubic spline through its true times; a faster one is low-passed without
     phase first (flat to 0.8 of half the new rate, 80 dB down from half of it on), which costs 26
     samples of the grid on both sides of a gap. Nothing is computed across a gap: a NaN, or a step
-    that is longer than the grid's, than 3 of the channel's usual (median) ones, and than 3 of those
-    around. So rows by event, as of each turn of a wheel, may come seldom for a while.
+    that is longer than 3 of the channel's usual (median) ones and than 3 of those around (the mean
+    of two medians). So rows by event, as of each turn of a wheel, may come seldom for a while.
 
     **Arguments:**
 
@@ -251,7 +251,7 @@ def on_grid(
     _check_rate(rate)
     if not channels:
         raise DataError("there is no channel to bring to a common rate.")
-    sampled = {name: _channel(name, rate, *given) for name, given in channels.items()}
+    sampled = {name: _channel(name, *given) for name, given in channels.items()}
     decide = {name: sampled[name] for name in sampled if name in deciding} or sampled
     first = {name: channel.stretches[0][0][0] for name, channel in decide.items()}
     last = {name: channel.stretches[-1][0][-1] for name, channel in decide.items()}
@@ -332,7 +332,7 @@ class _Channel(NamedTuple):
     said: str
 
 
-def _channel(name: str, rate: float, time: np.ndarray, values: np.ndarray) -> _Channel:
+def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel:
     time, values = np.asarray(time, float), np.asarray(values, float)
     if time.ndim != 1 or time.shape != values.shape or time.size < 2:
         raise DataError(
@@ -357,7 +357,7 @@ def _channel(name: str, rate: float, time: np.ndarray, values: np.ndarray) -> _C
     if not present.any():
         raise DataError(f"channel '{name}' holds no number at all.")
     # A stretch ends at a missing value and at a gap.
-    gaps = _are_gaps(steps, rate)
+    gaps = _are_gaps(steps)
     number = np.cumsum(np.concatenate([[False], gaps]) | ~present)
     edges = np.flatnonzero(np.diff(number[present])) + 1
     pieces = zip(np.split(time[present], edges), np.split(values[present], edges))
@@ -369,14 +369,14 @@ def _channel(name: str, rate: float, time: np.ndarray, values: np.ndarray) -> _C
     return _Channel([*pieces], float(np.median(steps)), said * bool(gaps.any()))
 
 
-def _are_gaps(steps: np.ndarray, rate: float) -> np.ndarray:
-    """Which of a channel's steps no curve goes across: those longer than the grid's, and than 3 of
-    the usual ones, of the channel and around.
+def _are_gaps(steps: np.ndarray) -> np.ndarray:
+    """Which of a channel's steps no curve goes across: those longer than 3 of the usual ones, of
+    the channel and around.
 
     Rows by event, as of a wheel's turns, come seldom for a while: their steps grow and shrink
     again, where a pause of a logger is longer than the steps on either side.
     """
-    long = np.flatnonzero(steps > max(LONGEST_STEP * np.median(steps), 1 / rate))
+    long = np.flatnonzero(steps > LONGEST_STEP * np.median(steps))
     padded = np.pad(steps, AROUND, mode="edge")
     near = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)[long]
     before, after = (np.median(near[:, side], 1) for side in (slice(AROUND), slice(-AROUND, None)))
