@@ -80,7 +80,7 @@ def test_preparation_is_taken_in_its_order_and_said():
         "40 rows of 2 columns of numbers read",
         "cut from 1 s to the end",
         "x: mean removed",
-        "every 2nd sample",
+        "one sample of 2",
         "15 of 40 samples left, from 1 s on",
     )
     assert [finding.code for finding in recording.findings] == ["nothing_cut"]

@@ -138,7 +138,8 @@ class Record(PlainMethods, Drawn, eqx.Module):
 
         - `signals`: name to samples, each of shape `(n,)`; NaN where a sample is missing.
         - `time`: time of each sample in seconds, shape `(n,)`; or give `time_step` in seconds.
-          Between evenly sampled stretches there may be pauses.
+          Between evenly sampled stretches there may be pauses, and stamps may jitter by 1 % of a
+          step.
         - `units`: name to unit, for those that are known.
 
         **Raises:** `DataError` for fewer than two samples, infinity, a signal without any sample, a
@@ -160,7 +161,7 @@ class Record(PlainMethods, Drawn, eqx.Module):
         start, stamps = 0.0, None
         if time is not None:
             given = every["t"]
-            (step, pauses), start = time_base(given), given[0]
+            (step, pauses, _), start = time_base(given), given[0]
             if pauses.size:
                 # The middle of each pause.
                 stamps = np.insert(given, pauses, 0.5 * (given[pauses - 1] + given[pauses]))

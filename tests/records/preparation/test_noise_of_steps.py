@@ -103,7 +103,7 @@ def test_channels_on_a_common_grid(rate, shift):
     white = LEVEL * np.random.default_rng(3).normal(size=200_000)
     time = STEP * (np.arange(white.size) + shift)
     marker = STEP * np.arange(white.size) * 1.0
-    grid, values = on_grid({"x": (time, white), "m": (marker, 0 * marker)}, rate)
+    grid, values, _ = on_grid({"x": (time, white), "m": (marker, 0 * marker)}, rate)
     if rate < 99:
         taps = LEVEL * resampled_taps(np.ones(1), 100.0 / rate)
     else:

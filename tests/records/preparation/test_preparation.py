@@ -37,7 +37,7 @@ def test_every_step_of_a_preparation_is_taken_in_order():
     cut = Prepare(start=1.0, stop=3.0, offsets=("q",), drifts=("p",), upsample=2, every=4)
     asked = replace(cut, derivatives={"v": "q"})
     prepared, words = prepare(record(q=5 + np.sin(9 * TIME), p=TIME), {}, asked)
-    assert [word.split()[0] for word in words] == ["cut", "q:", "p:", "band-limited", "v:", "every"]
+    assert [word.split()[0] for word in words] == ["cut", "q:", "p:", "band-limited", "v:", "one"]
     assert float(prepared.time_step) == pytest.approx(2 / RATE)
     # 44 samples are lost at either end of the cut record to the interpolation.
     assert float(prepared.time[0]) == pytest.approx(1.044)

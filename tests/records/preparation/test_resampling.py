@@ -114,7 +114,7 @@ def sine(time: np.ndarray, hertz: float, phase: float = 0.4) -> np.ndarray:
 
 def test_between_even_samples_lies_the_cubic_spline():
     time, values = sampled(50.0, 4.0, 0.37), np.random.default_rng(1).normal(size=201)
-    grid, columns = on_grid({"a": (time, values)}, 61.7)
+    grid, columns, _ = on_grid({"a": (time, values)}, 61.7)
     expected = scipy.interpolate.CubicSpline(time, values)(grid)
     np.testing.assert_allclose(columns["a"], expected, atol=1e-9)
 
@@ -125,7 +125,7 @@ def test_the_grid_is_what_all_channels_share():
         "b": (sampled(30.0, 5.0, 2.005), np.ones(151)),
         "c": (sampled(10.0, 7.0, 0.5), np.ones(71)),
     }
-    grid, columns = on_grid(channels, 100.0)
+    grid, columns, _ = on_grid(channels, 100.0)
     np.testing.assert_allclose(grid, 2.005 + np.arange(400) / 100)
     assert all(np.array_equal(values, np.ones(400)) for values in columns.values())
 
@@ -134,7 +134,7 @@ def test_the_grid_is_what_all_channels_share():
 @pytest.mark.parametrize("hertz", [1.0, 10.0, 39.9])
 def test_a_faster_channel_keeps_what_lies_below_0_8_of_half_the_rate(share, hertz):
     time = jittered(sampled(1000.0, 10.0), share)
-    grid, columns = on_grid({"a": (time, sine(time, hertz))}, 100.0)
+    grid, columns, _ = on_grid({"a": (time, sine(time, hertz))}, 100.0)
     np.testing.assert_allclose(columns["a"], sine(grid, hertz), rtol=0, atol=1.5e-4)
 
 
@@ -142,7 +142,7 @@ def test_a_faster_channel_keeps_what_lies_below_0_8_of_half_the_rate(share, hert
 @pytest.mark.parametrize("hertz", [50.0, 55.0, 90.0, 133.0])
 def test_a_faster_channel_folds_nothing_down(share, hertz):
     time = jittered(sampled(1000.0, 10.0), share)
-    _, columns = on_grid({"a": (time, sine(time, hertz))}, 100.0)
+    _, columns, _ = on_grid({"a": (time, sine(time, hertz))}, 100.0)
     # 80 dB; what uneven times spoil on the way through a spline adds to it.
     assert np.max(np.abs(columns["a"])) < (1.2e-4 if share == 0 else 2e-3)
 
@@ -152,7 +152,7 @@ def test_gaps_by_nan_and_by_time():
     values = sine(time, 2.0)
     values[700:702] = np.nan
     slow = sampled(20.0, 10.0)
-    grid, columns = on_grid({"a": (time, values), "b": (slow, sine(slow, 1.0))}, 100.0)
+    grid, columns, _ = on_grid({"a": (time, values), "b": (slow, sine(slow, 1.0))}, 100.0)
     assert grid.size == 1001
     gone = (grid > 3.005) & (grid < 3.405) | (grid > time[699] + 0.005) & (grid < time[702] - 0.005)
     np.testing.assert_array_equal(np.isnan(columns["a"]), gone)
@@ -163,7 +163,7 @@ def test_gaps_by_nan_and_by_time():
 def test_a_step_of_three_usual_ones_is_no_gap_and_a_longer_one_is():
     def missing(dropped: int) -> int:
         time = np.delete(sampled(100.0, 2.0), slice(50, 50 + dropped))
-        _, columns = on_grid({"a": (time, sine(time, 0.5))}, 100.0)
+        _, columns, _ = on_grid({"a": (time, sine(time, 0.5))}, 100.0)
         return int(np.isnan(columns["a"]).sum())
 
     assert missing(2) == 0
@@ -174,7 +174,7 @@ def test_nothing_comes_across_a_gap_of_a_faster_channel():
     time, values = sampled(1000.0, 20.0), sine(sampled(1000.0, 20.0), 3.0)
     values[10_000:] += 1e6
     values[9_990:10_010] = np.nan
-    grid, columns = on_grid({"a": (time, values)}, 100.0)
+    grid, columns, _ = on_grid({"a": (time, values)}, 100.0)
     # 26 samples of the grid from the last sample before, 9.989 s, and the first after, 10.01 s.
     near = np.isnan(columns["a"])
     edges = grid[near][[0, -1]]
@@ -187,9 +187,9 @@ def test_short_stretches_of_samples_on_the_grid_stay_and_others_go():
     values = np.sin(np.arange(60.0))
     values[[20, 22, 25]] = np.nan
     time = sampled(10.0, 5.9)
-    _, same = on_grid({"a": (time, values)}, 10.0)
+    _, same, _ = on_grid({"a": (time, values)}, 10.0)
     np.testing.assert_array_equal(same["a"], values)
-    _, finer = on_grid({"a": (time, values)}, 20.0)
+    _, finer, _ = on_grid({"a": (time, values)}, 20.0)
     # One and two samples between gaps have no curve through them.
     np.testing.assert_array_equal(np.flatnonzero(~np.isnan(finer["a"][39:51])), [3, 7, 9])
 
@@ -222,3 +222,37 @@ def test_time_must_increase(wrong):
 def test_channels_that_cannot_be_used(time, values, match):
     with pytest.raises(rx.DataError, match=match):
         on_grid({"a": (np.array(time), np.array(values))}, 10.0)
+
+
+def turning(time: np.ndarray) -> np.ndarray:
+    return 9 + 8.6 * np.cos(2 * np.pi * time / 130)
+
+
+def by_event(longest: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times of a shaft's marks and its speed, which creeps twice, with a stop of so many s."""
+    time = sampled(500.0, 400.0)
+    speed = turning(time)
+    angle = scipy.interpolate.CubicSpline(time, speed).antiderivative()(time)
+    marks = np.interp(np.arange(0, angle[-1], 0.7), angle, time)
+    return marks + longest * (marks > 200), turning(marks)
+
+
+@pytest.mark.parametrize("longest", [0.0, 30.0])
+@pytest.mark.parametrize("rate", [3.0, 20.0])
+def test_rows_by_event_keep_all_but_what_is_a_pause(tmp_path, rate, longest):
+    time, speed = by_event(longest)
+    assert np.ptp(np.diff(time)) > 15 * np.median(np.diff(time))
+    grid, columns, words = on_grid({"w": (time, speed)}, rate)
+    off = columns["w"] - turning(grid - longest * (grid > 200 + longest / 2))
+    known = ~np.isnan(off)
+    assert np.max(np.abs(off[known])) < 2e-3
+    # A low-pass reaches 26 samples of the grid to each side of an end or a gap.
+    lost = (2 + 2 * (longest > 0)) * 26 / rate + (longest > 0) * np.max(np.diff(time))
+    assert known.sum() / rate > time[-1] - time[0] - lost - 4 / rate
+    said = float(words[-1].split()[0])
+    assert said == pytest.approx(time[-1] - time[0] - known.sum() / rate, abs=2 / rate)
+    assert any("w: 1 step(s) of up to 31.1" in each for each in words) == (longest > 0)
+    file = tmp_path / "turns.csv"
+    np.savetxt(file, np.stack([time, speed], 1), delimiter=",", header="t,w", comments="")
+    steps = rx.read_recording(file, resample=rate).steps
+    assert set(words) < set(steps)

@@ -22,9 +22,9 @@ STEPS = {
         0,
         lambda t: motion(t) - 0.3 - 0.01 * t,
     ),
-    "shift": (lambda r: shift(r, {"q": 0.37 * STEP}), 44, lambda t: motion(t + 0.37 * STEP)),
+    "shift": (lambda r: shift(r, {"q": 0.37 * STEP}), 1, lambda t: motion(t + 0.37 * STEP)),
     "shift back": (lambda r: shift(r, {"q": -2 * STEP}), 2, lambda t: motion(t - 2 * STEP)),
-    "set_clocks": (lambda r: set_clocks(r, {"q": PPM}), 50, lambda t: motion(t + 1e-6 * PPM * t)),
+    "set_clocks": (lambda r: set_clocks(r, {"q": PPM}), 9, lambda t: motion(t + 1e-6 * PPM * t)),
     "upsample": (lambda r: upsample(r, 3), 44, motion),
     "resample": (lambda r: rx.resample(r, 173.3), 31, motion),
     "resample up": (lambda r: rx.resample(r, 333.3), 44, motion),
@@ -77,6 +77,18 @@ def test_noise_goes_on_with_its_size(name):
     noisy = rx.Record({"q": white}, STEP).with_noise(rx.Noise.given({"q": 1.0}))
     made = STEPS[name][0](noisy)
     assert float(made.noise.std("q")) == pytest.approx(np.std(np.asarray(made["q"])), rel=0.04)
+
+
+@pytest.mark.parametrize(("by", "period"), [(0.05, 20), (-0.4, 20), (0.5, 10), (2.7, 10)])
+def test_a_shift_loses_what_it_advances_by_and_errs_little_at_the_ends(by, period):
+    time = np.arange(3000) / period
+    record = rx.Record({"q": np.sin(2 * np.pi * time + 0.3), "t": time}, STEP)
+    for part in (record, record.part(0, 40)):
+        shifted = shift(part, {"q": by * STEP})
+        off = np.sin(2 * np.pi * (shifted["t"] + by / period) + 0.3) - shifted["q"]
+        assert part.sample_count - shifted.sample_count == np.ceil(abs(by))
+        assert np.max(np.abs(off)) < {10: 3e-3, 20: 1e-4}[period]
+        assert np.max(np.abs(off[4:-4])) < {10: 3e-5, 20: 2e-7}[period]
 
 
 SHORT = rx.Record.from_samples({"q": [0.0, 1.0, np.nan, 3.0, np.nan, 5.0]}, time_step=STEP)

@@ -190,3 +190,28 @@ def test_what_to_do_about_time_that_runs_back(case):
     stamps, words = BACK[case]
     with pytest.raises(DataError, match=words):
         time_base(stamps)
+
+
+@pytest.mark.parametrize("kind", ["jitter", "sleep", "pause", "drift", "large", "one"])
+def test_stamps_that_jitter_are_even_and_it_is_said(tmp_path, kind):
+    rng = np.random.default_rng(3)
+    time, late = 0.02 * np.arange(N), 0.02 * 0.006 * rng.normal(size=N)
+    stamps = {
+        "jitter": time + late,
+        "sleep": time + np.cumsum(late),  # each step is off by itself
+        "pause": time + late + 7.003 * (np.arange(N) > 90),
+        "drift": time * (1 + 0.02 * time / 8),  # by 4 % of a step from the first to the last
+        "large": time + 9 * late,
+        "one": time + 0.00437 * (np.arange(N) > 90),
+    }[kind]
+    file = {"time": [f"{t:.7f}" for t in stamps], "x": np.sin(stamps)}
+    if kind in ("drift", "large", "one"):
+        with pytest.raises(DataError, match=r"evenly spaced.*--resample"):
+            read(tmp_path, file)
+        return
+    recording = read(tmp_path, file)
+    np.testing.assert_allclose(recording.record.time_step, 0.02, rtol=3e-4)
+    assert recording.record.sample_count == N + (kind == "pause")
+    (said,) = [words for words in recording.steps if "jitter" in words]
+    share = float(said.split("%")[0].split()[-1])
+    np.testing.assert_allclose(share, 0.6 if kind != "sleep" else 0.42, rtol=0.1)

@@ -34,8 +34,6 @@ ALONE = 6.0
 """Hz to each side in which no other line may be: drives and friction have them in rows."""
 OUTSHONE = 2.0
 """Times that a line's power is that of any other bin there."""
-LOWEST = 3
-"""Order of the lowest harmonic that stands out of a grid's lines, at most."""
 LOBE = 3
 """Bins to each side over which Hann's window spreads a line."""
 SMALLEST = 3e-3
@@ -211,7 +209,7 @@ def _foreign(spectrum: Spectrum) -> dict[float, list[Line]]:
         is_overtone = np.any(np.abs(line.seen - overtones) < near)
         if alone and not is_overtone and line.amplitude > SMALLEST * spectrum.rms:
             claimed.setdefault(grid, []).append(line)
-    return {grid: of for grid, of in claimed.items() if of[0].nominal < (LOWEST + 0.5) * grid}
+    return claimed
 
 
 def _is_motion(

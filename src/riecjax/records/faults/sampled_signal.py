@@ -24,8 +24,6 @@ ROUNDING = 1e-9
 """Share of a signal's range within which values are one: computed ones differ in last digits."""
 FEW_LEVELS = 20
 """Distinct values up to which a signal counts as a command or a relay, not as a sensor's."""
-LAST_DIGITS = 1e-13
-"""Share of a signal's range that is rounding for certain."""
 
 
 def rounding_of(samples: np.ndarray) -> float:
@@ -34,8 +32,8 @@ def rounding_of(samples: np.ndarray) -> float:
         return 0.0
     whole = float(np.ptp(samples))
     usual = float(np.ptp(np.quantile(samples, [MOST_OUTLIERS, 1 - MOST_OUTLIERS])))
-    # What is at rest but for its last digits has no range without its few moves.
-    return ROUNDING * (usual if usual > LAST_DIGITS * whole else whole)
+    # What is at rest has no range without its few moves.
+    return ROUNDING * (usual or whole)
 
 
 def size_of(samples: np.ndarray) -> float:
@@ -272,8 +270,6 @@ FEWEST = 6
 """Samples of a rest at the least, and twice the quanta that motion takes meanwhile."""
 STILL = 1.5
 """Mean square of a rest at the most, in that of the noise."""
-RISE = 3.0
-"""Slope along a rest at the most, in standard errors by the noise."""
 LEAST = 0.005
 """Share of a record that counts as rest at the least."""
 COARSE = 0.03
@@ -317,15 +313,10 @@ def rest_of(record: Record, name: str) -> Rest | None:
         return None
     starts, stops = runs(~np.isnan(about))
     lengths = stops - starts
-    # Of these stretches those that hold noise at the most, and neither move nor turn. Between them
-    # all is zero, so that sums from one start to the next are theirs.
-    scaled, place = np.nan_to_num(NOISES * about), np.arange(values.size) / values.size
-    columns = np.array([scaled, scaled * place, scaled**2])
-    level, moment, energy = np.add.reduceat(columns, starts, axis=1)
-    middle = place[starts] + 0.5 * (lengths - 1) / values.size
-    rise = np.abs(moment - middle * level) * values.size
-    still = (lengths >= fewest) & (rise <= RISE * np.sqrt(lengths**3 / 12))
-    still &= energy <= STILL * lengths
+    # Of these stretches those that hold noise at the most. Between them all is zero, so that sums
+    # from one start to the next are theirs.
+    energy = np.add.reduceat(np.nan_to_num(NOISES * about) ** 2, starts)
+    still = (lengths >= fewest) & (energy <= STILL * lengths)
     share = lengths[still].sum() / values.size
     if not max(COARSE if is_coarse else LEAST, OF_SLOW * lengths.sum() / values.size) < share < 1:
         return None

@@ -44,8 +44,6 @@ FOLLOWED = 0.98
 LAGS = range(-2, 3)
 BEYOND = 0.1
 """Standard deviations beyond a limit where others must surely not say that a signal goes on."""
-MANY_VISITS = 10
-"""Visits to a limit that are enough to tell."""
 STEEP = 10.0
 """Quanta by which a steep approach lies off the extreme two samples before. A crest that stays
 within its last quantum for 3 samples comes from less than 9."""
@@ -130,7 +128,7 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
     left out in turn; the others, such as the masses that it moves, keep to it.
     """
     rows = [np.stack([np.roll(s.values, lag) for lag in LAGS]) for s in others if s.levels.size > 1]
-    if len(rows) < 2 or side.starts.size < MANY_VISITS:
+    if len(rows) < 2:
         return False
     target = signal.values
     known = np.all(~np.isnan(np.concatenate([target[None], *rows])), axis=0)
@@ -218,17 +216,21 @@ def stuck(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
         )
 
 
+def _edges(signal: SampledSignal) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """Steps into each run and out of it, the usual step, and the step past which a signal jumps."""
+    steps = np.abs(np.diff(signal.values))
+    moving, padded = steps[steps > 0], np.pad(steps, 1, constant_values=np.nan)
+    into, out = padded[signal.run_starts], padded[signal.run_starts + signal.run_lengths]
+    return into, out, float(np.median(moving)), JUMP * float(np.quantile(moving, STEADY))
+
+
 def dropouts(signal: SampledSignal) -> np.ndarray:
     """Runs of a value that is entered and left by jumps, several times, and shown in no other way.
 
     A motion that comes to rest, or runs into a limit, gets there by steps as small as any other.
     """
-    starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
-    steps = np.abs(np.diff(signal.values))
-    moving = steps[steps > 0]
-    usual, jump = np.median(moving), JUMP * np.quantile(moving, STEADY)
-    padded = np.pad(steps, 1, constant_values=np.nan)
-    into, out = padded[starts], padded[starts + lengths]
+    lengths, values = signal.run_lengths, signal.run_values
+    into, out, usual, jump = _edges(signal)
     several = np.flatnonzero(lengths >= SHORT)
     found = [np.zeros(0, int)]
     # An encoder has thousands of values: those are looked at that are entered or left by jumps.
@@ -251,19 +253,14 @@ def dropouts(signal: SampledSignal) -> np.ndarray:
 def long_runs(signal: SampledSignal, others: Sequence[SampledSignal]) -> np.ndarray:
     """Which of the signal's runs a stuck sensor showed."""
     starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
-    usual, steps = float(np.quantile(lengths, 0.95)), np.abs(np.diff(signal.values))
-    long, moving = (
-        np.flatnonzero(lengths >= max(STUCK_SAMPLES, STUCK_RATIO * usual)),
-        steps[steps > 0],
+    into, out, usual, jump = _edges(signal)
+    long = np.flatnonzero(
+        lengths >= max(STUCK_SAMPLES, STUCK_RATIO * float(np.quantile(lengths, 0.95)))
     )
-    least = max(ABRUPT * float(np.median(moving)), ABRUPT_QUANTA * signal.resolution)
-    # The larger one of the steps into and out of each run.
-    padded = np.pad(steps, 1, constant_values=np.nan)
-    edges = np.fmax(padded[starts], padded[starts + lengths])
+    least, edges = max(ABRUPT * usual, ABRUPT_QUANTA * signal.resolution), np.fmax(into, out)
     # What is held at an extreme and entered and left by no more than usual steps is clipped.
-    usual = float(np.quantile(moving, STEADY))
     ends = np.abs(values[:, None] - signal.levels[[0, -1]]).min(axis=1) <= signal.rounding
-    edges = np.where(ends & (edges <= JUMP * usual), 0.0, edges)
+    edges = np.where(ends & (edges <= jump), 0.0, edges)
     # A machine comes to rest and leaves it gently, and rests in the same place more than once.
     stuck = [
         np.sum(values[long] == values[run]) == 1

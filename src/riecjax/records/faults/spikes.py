@@ -417,8 +417,6 @@ TURNS = (2 * np.pi, 360.0)
 """A turn in radians and in degrees."""
 QUICKEST = 0.25
 """Turns from sample to sample past which nothing tells which way it went."""
-MOST_TURNS = 0.05
-"""Share of samples that begin a turn at most."""
 REGISTERS = (2.0**16, 2.0**32)
 """Numbers that registers count."""
 
@@ -444,7 +442,7 @@ def unwrapped(values: Samples, turns: Iterable[float] = TURNS) -> tuple[Samples,
             said = f"signed numbers of {np.log2(turn):g} bits, read as unsigned, put right"
         else:
             fills = turn - 2 * usual <= np.ptp(there) <= turn + usual
-            is_one, whole = fills and np.mean(jumps) <= MOST_TURNS, values.copy()
+            is_one, whole = fills, values.copy()
             whole[known] = np.unwrap(there, period=turn)
             said = f"unwrapped, {jumps.sum()} times"
         if is_one and np.max(np.abs(np.diff(whole[known]))) <= 2 * usual:

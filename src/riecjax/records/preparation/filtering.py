@@ -303,8 +303,6 @@ may be motion that no difference is of the order to take off."""
 CONSTANT = 0.3
 """Share of its taps that a filter's sum may reach: a derivative of what is constant is zero. What
 copies the position, or smooths it, is no derivative, and to take it for one would hide that."""
-ROUNDS, FAR = 3, 10.0
-"""Fits, each without rows that the one before left so many times its median."""
 SHARPENED = 2
 """Order of the differences that are looked at, in which motion hides noise less."""
 
@@ -372,19 +370,13 @@ def filter_between(signal: Samples, other: Samples, noise: float) -> Taps | None
     found = None
     for half in reversed(HALVES):
         inner = slice(HALVES[-1] - half, HALVES[-1] + half + 1)
-        # Least squares, and what is left where no spike was repaired in one of the two.
-        kept, left, taps = np.ones(target.size, bool), target, np.zeros(0)
-        for _ in range(ROUNDS):
-            some = columns[kept, inner]
-            taps = np.linalg.lstsq(some.T @ some, some.T @ target[kept], rcond=1e-14)[0]
-            left = target - columns[:, inner] @ taps
-            before, kept = kept, np.abs(left) <= FAR * np.median(np.abs(left[kept]))
-            if (kept == before).all():
-                break
+        some = columns[:, inner]
+        taps = np.linalg.lstsq(some.T @ some, some.T @ target, rcond=1e-14)[0]
+        left = target - some @ taps
         through = noise / scale * np.linalg.norm(np.convolve(taps, [1, -2, 1]))
         # Taps that make more noise than there is fit motion alone, which few waves are.
         there = np.sqrt(np.mean(target**2))
-        made = np.sqrt(np.mean(left[kept] ** 2)) < LEFT * through
+        made = np.sqrt(np.mean(left**2)) < LEFT * through
         if not (made and through < MOST_THROUGH * there):
             break
         found = taps[::-1] / scale

@@ -100,10 +100,8 @@ def prepare(
         record = record.through(ops)
         words += words_of(ops)
     if p.every > 1:
-        tens, ones = divmod(p.every % 100, 10)
-        ending = {1: "st", 2: "nd", 3: "rd"}.get(ones, "th") if tens != 1 else "th"
         record = record.every(p.every)
-        words.append(f"every {p.every}{ending} sample")
+        words.append(f"one sample of {p.every}")
     return record, words
 
 

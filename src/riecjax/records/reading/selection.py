@@ -27,7 +27,7 @@ from riecjax.records.reading.units import (
     unit_behind,
 )
 from riecjax.records.record import Record
-from riecjax.records.time_base import StampError
+from riecjax.records.time_base import StampError, time_base
 from riecjax.settings import Read, Select
 
 
@@ -184,7 +184,8 @@ def record_from_channels(
                 time_of = times[name] if step is None else step * np.arange(values[name].size)
                 known = ~np.isnan(time_of)
                 measured[name] = time_of[known], values[name][known]
-            axis, values = on_grid(measured, rate, matter)
+            axis, values, said = on_grid(measured, rate, matter)
+            notes = (*notes, *said)
         clock, measured_values = {} if axis is None else {"t": axis}, values.copy()
         # Groups of HDF5 are parted by strokes, which divide in a formula.
         scalars = {n.replace("/", "."): np.array(v) for n, v in channels.scalars.items()}
@@ -194,6 +195,8 @@ def record_from_channels(
         units = {name: unit for name, unit in (units | formula_units).items() if name in values}
         given_step = step if axis is None else None
         record = Record.from_samples(values, time=axis, time_step=given_step, units=units)
+        if rate is None and axis is not None:
+            notes = (*notes, *time_base(axis).words)
         given = given_noise(selection.noise, record.arrays)
         record = record.with_noise(given)
         if rate is not None and axis is not None:
