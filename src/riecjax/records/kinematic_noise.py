@@ -125,7 +125,7 @@ def _residual(record: Record, relation: Relation, order: int) -> Residual | None
     few samples, or where there is no residual."""
     step, (s, e) = float(record.time_step), rule(order)
     signal = record.signal(relation.signal).with_nan
-    total = sum(c * record.signal(name).with_nan for name, c in relation.of)
+    total: Any = sum(c * record.signal(name).with_nan for name, c in relation.of)
     stretches = runs(~np.isnan(signal + total)).T.tolist()
     first, stop = max(stretches, key=lambda ends: ends[1] - ends[0], default=(0, 0))
     size = stop - first - e.size + 1
@@ -152,7 +152,8 @@ def _residual(record: Record, relation: Relation, order: int) -> Residual | None
     # Gain and delay between the two sides are no noise. Their cross spectrum tells them, weighted
     # as noise leaves it, and of the derivative's own power what is noise counts for neither.
     angles = 2 * np.pi * np.arange(size // 2 + 1) / size
-    both, ahead = mean(derivative.conj() * change), mean(angles * (derivative.conj() * change).imag)
+    cross = np.conj(derivative) * change
+    both, ahead = mean(np.real(cross)), mean(angles * np.imag(cross))
     own, faster = mean(np.abs(derivative) ** 2), mean((angles * np.abs(derivative)) ** 2)
     squares = mean(angles**2)
     # Neighbouring frequencies behind a taper tell the same.
@@ -160,7 +161,7 @@ def _residual(record: Record, relation: Relation, order: int) -> Residual | None
     residual, times, late = None, 1.0, 0.0
     for _ in range(GUESSES):
         share = counts * weight
-        times = np.sum(share * both.real) / np.sum(share * (own - noise))
+        times = np.sum(share * both) / np.sum(share * (own - noise))
         late = np.sum(share * ahead) / np.sum(share * (faster - squares * noise))
         power = mean(np.abs(change - derivative * (times + 1j * late * angles)) ** 2)
         if not (np.isfinite(power).all() and np.any(power)):
@@ -209,7 +210,7 @@ def _fitted(
     roots = np.sqrt(np.concatenate([one.counts for one in residuals]))
     given = sum((columns[name] * known[name] for name in names if name in known), 0.0 * power)
     # In units in which each alone would explain it all.
-    units = np.array([np.median(power[c > 0] / c[c > 0]) for c in map(columns.get, free)])
+    units = np.array([np.median(power[c > 0] / c[c > 0]) for c in (columns[name] for name in free)])
     gains = units * np.stack([columns[name] for name in free], axis=1)
     measured = np.array([believed.get(name, Variance(0.0, np.inf)) for name in free]).T / units
     believing, seeming = np.diag(1 / measured[1]), measured[0] / measured[1]

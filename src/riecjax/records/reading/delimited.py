@@ -481,10 +481,10 @@ def table_of(content: bytes, head: list[bytes], found: Layout) -> Table:
         content = content.rstrip(b"\n")
     # A logger that opens its file again writes the names again.
     again = b"".join(head[found.header : found.start]) if found.header >= 0 else b""
-    if again and (copies := content.count(again, place)):
+    if copies := content.count(again, place) if again else 0:
         blank = b"\n" * again.count(b"\n")
         content, place = content[place:].replace(again, blank), 0
-    return Table(content, place, found, comments, copies if again else 0)
+    return Table(content, place, found, comments, copies)
 
 
 def read_delimited(
