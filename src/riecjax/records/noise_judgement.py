@@ -11,7 +11,8 @@ between the motion and the filter's edge; a band-limited excitation makes a shel
 which other signals then have in common, while noise of sensors is coherent with nothing.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+import functools
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 import jax
@@ -28,6 +29,7 @@ from riecjax.records.record import Record, deviation, runs
 from riecjax.records.relations import Pairs, relations
 from riecjax.records.signal import (
     DIFFERENCE_ORDER,
+    NEGLIGIBLE,
     REPEATS,
     STRETCH,
     STRETCHES,
@@ -75,6 +77,10 @@ SCATTER = 3.0
 INCOHERENT = 0.3
 """Coherence with another signal past which a shelf is of motion. That of noise is one over the
 number of independent segments, 0.06 of 2000 samples."""
+
+
+Left: TypeAlias = Callable[[], Float[np.ndarray, " frequencies"] | float]
+"""The share of a signal's density that no other signal explains; 1 where there is none."""
 
 
 class Spectra(NamedTuple):
@@ -142,9 +148,9 @@ def _near(density: np.ndarray) -> np.ndarray:
     return np.convolve(density, np.ones(CLOSE) / CLOSE, "valid")
 
 
-def floor(of: Spectra, others: Sequence[Spectra] = ()) -> Floor:
+def floor(of: Spectra, left: Left) -> Floor:
     """The floor up to half the rate of a signal, else the lowest tenth of its band if any, of what
-    the others do not explain."""
+    other signals do not explain."""
     # At half the rate itself there is one degree of freedom, not two.
     near, size, density = _near(of.density), of.density.size, of.density[:-1]
     edge = top = int((1 - TOP) * size)
@@ -163,35 +169,34 @@ def floor(of: Spectra, others: Sequence[Spectra] = ()) -> Floor:
     by_chance = np.exp(SCATTER * np.sqrt(4 / max(TOP / 2 * of.freedom, 1.0)))
     if sooner > max(LEVELLED, by_chance) * later:
         return Floor(np.zeros(1), np.asarray(np.inf))
-    tenths = np.array_split(unexplained(of, others)[:-1], round(1 / TOP))
+    tenths = np.array_split((left() * of.density)[:-1], round(1 / TOP))
     least = min(np.mean(tenth) for tenth in tenths)
     return Floor(np.full(1, np.sqrt(least)), np.asarray(TOP * of.freedom), flat=False)
 
 
-def unexplained(of: Spectra, others: Sequence[Spectra]) -> Float[np.ndarray, " frequencies"]:
-    """The density of what no linear filter makes of the other signals.
+def unexplained(every: Sequence[Spectra]) -> Float[np.ndarray, "signals frequencies"]:
+    """The share of each signal's density that no linear filter makes of the others.
 
-    White noise is no larger, as noise of sensors has nothing in common. Of n independent segments
-    each of p others explains one by chance. The window is two frequencies wide, so that of each two
-    there are as many as degrees of freedom.
+    White noise is no larger, as noise of sensors has nothing in common. The share is one over the
+    signal's place in the inverse of the coherency. Of n independent segments each of p others
+    explains one by chance. The window is two frequencies wide, so that of each two there are as
+    many as degrees of freedom.
     """
-    independent = of.freedom / of.density.size
-    if not 0 < len(others) < independent / 2:
-        return of.density
-    columns = np.stack([one.transforms for one in others], axis=-1)
-    products = np.einsum("sfi,sfj->fij", columns.conj(), columns)
-    answers = np.einsum("sfi,sf->fi", columns.conj(), of.transforms)
-    filters = np.einsum("fij,fj->fi", np.linalg.pinv(products, hermitian=True), answers)
-    left = of.transforms - np.einsum("sfi,fi->sf", columns, filters)
-    share = independent / (independent - len(others))
-    return share * np.mean(np.abs(left) ** 2, axis=0)
+    segments = np.stack([one.transforms.T for one in every], axis=1)
+    size = np.sqrt(np.mean(np.abs(segments) ** 2, axis=2, keepdims=True))
+    segments = np.divide(segments, size, out=np.zeros_like(segments), where=size > 0)
+    coherency = segments @ segments.conj().transpose(0, 2, 1) / segments.shape[2]
+    inverse = np.linalg.inv(coherency + NEGLIGIBLE**2 * np.eye(len(every)))
+    independent = every[0].freedom / every[0].density.size
+    by_chance = independent / (independent - len(every) + 1)
+    return by_chance / np.real(np.diagonal(inverse, axis1=1, axis2=2)).T
 
 
-def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
+def shelf(of: Spectra, left: Left) -> Floor | None:
     """The noise of a signal that was low-passed, if it shows between motion and filter.
 
     Its density is taken to be flat below, where motion hides it. Only where it is clear: other
-    signals must be there, the same pieces of them, and none may be coherent with the shelf.
+    signals must be there, and explain none of the shelf.
     """
     near, size = _near(of.density), of.density.size
     at_end = np.mean(of.density[int((1 - TOP) * size) : -1])
@@ -208,14 +213,8 @@ def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
     density = float(np.mean(of.density[band]))
     if at_end > EMPTY * density:
         return None
-    coherence = []
-    for other in (spectra for spectra in others if spectra is not None):
-        here, there = of.transforms[:, band], other.transforms[:, band]
-        cross = np.abs(np.mean(here * there.conj(), axis=0)) ** 2
-        power = np.mean(np.abs(here) ** 2, axis=0) * np.mean(np.abs(there) ** 2, axis=0)
-        shares = np.divide(cross, power, out=np.zeros_like(cross), where=power > 0)
-        coherence.append(np.mean(shares))
-    if not coherence or max(coherence) > INCOHERENT:
+    shares = left()
+    if np.ndim(shares) == 0 or np.mean((shares * of.density)[band]) < (1 - INCOHERENT) * density:
         return None
     beyond = np.convolve(of.density, np.ones(CLOSE) / CLOSE, "same")[band.stop :]
     shape = np.concatenate([np.full(band.stop + 1, density), np.minimum(beyond, density)])
@@ -254,13 +253,46 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
     **Raises:** `DataError` for a signal that the record lacks, or an impossible noise.
     """
     known, estimates = record.with_noise(given_noise(given, record.arrays)), {}
+    together = _Together(record)
     for name in names or record.arrays:
         if name in record.arrays and known.by_name[name].noise is None:
-            signal = record.by_name[name]
-            others = [values for other, values in record.arrays.items() if other != name]
+            signal, left = record.by_name[name], functools.partial(together.left, name)
             with np.errstate(all="ignore"):
-                estimates[name] = noise_of_level(name, noise_level(signal.with_nan), signal, others)
+                estimates[name] = noise_of_level(name, noise_level(signal.with_nan), signal, left)
     return known.with_noise(Noise.of(estimates))
+
+
+class _Together:
+    """What signals of a record explain of each other, looked at once and only if asked for."""
+
+    def __init__(self, record: Record):
+        self.arrays = record.arrays
+        self.whole: dict[str, np.ndarray] | None = None
+
+    def left(self, name: str, there: np.ndarray) -> np.ndarray | float:
+        """The share of a signal's density that the others do not explain.
+
+        **Arguments:** `there`, where the signal has samples.
+        """
+        if not there.all():
+            return self._shares(name, there).get(name, 1.0)
+        if self.whole is None:
+            self.whole = self._shares(name, there)
+        return self.whole.get(name, 1.0)
+
+    def _shares(self, first: str, there: np.ndarray) -> dict[str, np.ndarray]:
+        rows = stretches_of(next(iter(self.arrays.values())).shape[-1])
+        every = {
+            name: own
+            for name in dict.fromkeys((first, *self.arrays))
+            if (own := spectra(np.where(there, np.asarray(self.arrays[name])[rows], np.nan)))
+        }
+        # Of few segments many signals would explain all.
+        most = min((int(own.freedom / own.density.size / 2) for own in every.values()), default=0)
+        names = [*every][: most + 1]
+        if len(names) < 2:
+            return {}
+        return dict(zip(names, unexplained([every[name] for name in names])))
 
 
 @np.errstate(all="ignore")
@@ -332,11 +364,15 @@ def given_noise(given: GivenNoise, signals: Collection[str]) -> Noise:
 
 
 def noise_of_level(
-    name: str, level: Leaf, signal: Signal, others: Sequence[Leaf] = ()
+    name: str,
+    level: Leaf,
+    signal: Signal,
+    left: Callable[[np.ndarray], np.ndarray | float] = lambda there: 1.0,
 ) -> SignalNoise:
     """The noise on a signal, by its differences' level and by which values it takes.
 
-    **Arguments:** `others`, the record's other signals.
+    **Arguments:** `left`, the share of the signal's density that others do not explain, by a mask
+    of its samples.
     """
     samples = xp.asarray(signal.values)
     level = xp.asarray(xp.where(level > MOST_NOISE * xp.std(samples, axis=-1), 0.0, level))
@@ -344,14 +380,17 @@ def noise_of_level(
     freedom = np.asarray(max(seen - DIFFERENCE_ORDER, 1) / REPEATS)
     if xp.are_traced(level, samples) or samples.ndim > 1:
         return SignalNoise({name: level[..., None]}, {name: freedom})
-    known = _by_values(signal, np.asarray(level), freedom, others)
+    known = _by_values(signal, np.asarray(level), freedom, left)
     return (
         SignalNoise() if known is None else SignalNoise({name: known.taps}, {name: known.freedom})
     )
 
 
 def _by_values(
-    signal: Signal, level: np.ndarray, freedom: np.ndarray, others: Sequence[Leaf]
+    signal: Signal,
+    level: np.ndarray,
+    freedom: np.ndarray,
+    left: Callable[[np.ndarray], np.ndarray | float],
 ) -> Floor | None:
     """The noise by what values a signal takes; `None` of a command."""
     samples = signal.with_nan
@@ -368,16 +407,10 @@ def _by_values(
         return None
     found, own = Floor(level[None], freedom), spectra(values)
     if own is not None:
-        elsewhere = (np.where(there, np.asarray(other)[rows], np.nan) for other in others)
-        beside = [
-            one
-            for one in map(spectra, elsewhere)
-            if one is not None and one.transforms.shape == own.transforms.shape
-        ]
-        filtered = shelf(own, beside)
+        filtered = shelf(own, functools.partial(left, there))
         if filtered is not None and level < filtered.level < MOST_NOISE * np.std(known):
             return filtered
-        flat = floor(own, beside)
+        flat = floor(own, functools.partial(left, there))
         # Spikes and steps raise a spectrum, and not the differences that are usual.
         # The least of ten densities scatters too, and is taken if it is lower for certain.
         scatter = SCATTER / np.sqrt(2 * (freedom if flat.flat else flat.freedom))
