@@ -75,7 +75,7 @@ ESTIMATED = 1e-4
 SCATTER = 3.0
 """Standard deviations by which two levels may differ by chance."""
 INCOHERENT = 0.3
-"""Coherence with another signal past which a shelf is of motion. That of noise is one over the
+"""Coherence with the other signals past which a shelf is of motion. That of noise is one over the
 number of independent segments, 0.06 of 2000 samples."""
 
 
