@@ -238,7 +238,7 @@ def together(signals, pairs, given=(), **sizes):
     rng = np.random.default_rng(7)
     noisy = {n: v + sizes[n] * rng.normal(size=v.size) for n, v in signals.items()}
     alone = judged(rx.Record(noisy, 1 / RATE), {name: sizes[name] for name in given})
-    told = judged_together(alone, pairs, given)
+    told = judged_together(alone, pairs, [*signals], given)
     found = [{n: std(one, n) / sizes[n] for n in signals} for one in (alone, told)]
     freedom = {n: float(told.noise.freedom.get(n, 0)) for n in signals if n not in given}
     return *found, max(abs(found[1][n] - 1) * np.sqrt(2 * freedom[n]) for n in freedom)
@@ -298,7 +298,7 @@ def test_what_is_more_than_noise_tells_nothing():
     assert told == alone
     position = motion["x"] + white(sizes["x"], 1, 8000)
     record = judged(rx.Record({"x": position, "v": np.gradient(position) * RATE}, 1 / RATE))
-    assert std(judged_together(record, [("x", "v")]), "x") == std(record, "x")
+    assert std(judged_together(record, [("x", "v")], "xv"), "x") == std(record, "x")
 
 
 @pytest.mark.parametrize("size", [7, 256, 1001])

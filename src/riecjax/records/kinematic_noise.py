@@ -27,12 +27,13 @@ from riecjax.records.signal import Taps
 
 HALF = 2
 """Samples to each side in the sum over the derivative; the other one reaches a sample further."""
-FEWEST = 2**8
-"""Samples of a stretch that tells anything."""
+FEWEST, MOST = 2**8, 2**17
+"""Samples of a stretch that tells anything, and that are looked at."""
 SLOWEST = 8
 """Periods in the record from which a difference is no drift."""
 FINEST = 0.5
-"""Share of half the rate up to which the rule is exact enough: its error is 1e-3 of the motion."""
+"""Share of half the rate up to which the rule is exact enough: its error is 1e-3 of the motion, and
+where that is more than `TOLERATED` of the residual's power, a band tells nothing."""
 BANDS = 12
 """Of equal width on a logarithmic scale, over which spectra are averaged."""
 BY_CHANCE, TOLERATED = 1e-4, 0.1
@@ -40,12 +41,12 @@ BY_CHANCE, TOLERATED = 1e-4, 0.1
 be off its fit in any case: noise is never quite white."""
 APART = 0.1
 """Share by which the gains of two sides differ at most."""
-AGREED = 3.0
-"""Standard errors by which two variances may differ by chance."""
 LEAST = 1e-6
 """Share of a spectrum, and of what is best told, that is nothing."""
-GUESSES, ROUNDS = 4, 12
-"""Of gain and delay; and of reweighting, each of which gains a digit or so."""
+LITTLE = 30.0
+"""Standard error, over itself, of a variance that is only limited."""
+GUESSES, ROUNDS, HALVINGS = 4, 30, 10
+"""Of gain and delay; steps of scoring at the most, and how often one is halved."""
 
 
 class Residual(NamedTuple):
@@ -75,21 +76,25 @@ def variances(
     Not under jit.
 
     **Arguments:** `pairs` of a signal and its derivative, or relations; `own`, what signals seem to
-    have by themselves, of which some are `given`. The others count as further measurements: to
-    within their errors where relations agree, and to within their own size where these do not or
-    tell a sum alone.
+    have by themselves, of which some are `given`. The others count as further measurements; where
+    they are unsure to within their own size, noise is no larger. A relation that contradicts any of
+    these tells nothing: signals of which one is computed from the other have their noise in common,
+    and what is quick between samples is no noise.
     """
+    known = {name: own[name] for name in given if name in own}
+    free = {name: one for name, one in own.items() if one.variance > 0 and name not in known}
+    sure = {name: one for name, one in free.items() if one.error < one.variance}
+    limits = {name: 2 * one.variance for name, one in free.items() if name not in sure}
     found = (_residual(record, relation, order) for relation, order in _related(record, pairs))
-    sound = [one for one in found if one is not None and _is_noise(one)]
-    known = {name: own[name].variance for name in given if name in own}
-    believed = {}
-    for name, told in _fitted(sound, known).items():
-        seems, apart = own[name], abs(told.variance - own[name].variance)
-        if seems.variance > 0:
-            agrees = apart <= AGREED * np.hypot(told.error, seems.error)
-            error = max(seems.error, LEAST * seems.variance) if agrees else seems.variance
-            believed[name] = seems._replace(error=error)
-    return _fitted(sound, known, believed)
+    sound = [one for one in found if one is not None and _is_noise(one, known | sure, limits)]
+    # What is only limited decides on no more than what a sum alone tells.
+    little = {name: one._replace(error=LITTLE * one.variance) for name, one in free.items()}
+    told = _fitted(sound, known, little | sure) if sound else {}
+    for name, (variance, error) in told.items():
+        if error >= variance:
+            most = min(variance + 2 * error, own[name].variance)
+            told[name] = Variance(most, most)
+    return told
 
 
 def _related(record: Record, pairs: Pairs) -> Iterator[tuple[Relation, int]]:
@@ -128,6 +133,7 @@ def _residual(record: Record, relation: Relation, order: int) -> Residual | None
     total: Any = sum(c * record.signal(name).with_nan for name, c in relation.of)
     stretches = runs(~np.isnan(signal + total)).T.tolist()
     first, stop = max(stretches, key=lambda ends: ends[1] - ends[0], default=(0, 0))
+    stop = min(stop, first + MOST)
     size = stop - first - e.size + 1
     if size < FEWEST:
         return None
@@ -142,10 +148,11 @@ def _residual(record: Record, relation: Relation, order: int) -> Residual | None
     def mean(values: np.ndarray) -> Any:
         return np.add.reduceat(values[:top], edges[:-1]) / np.diff(edges)
 
-    def gain(taps: Taps) -> Float[np.ndarray, " bands"]:
-        return mean(np.abs(np.fft.rfft(taps, size)) ** 2)
-
-    of_total, of_signal = gain(s), gain(e) / step ** (2 * order)
+    responses = [
+        np.fft.rfft(np.roll(np.pad(t, (0, size - t.size)), -(t.size // 2))) for t in (s, e)
+    ]
+    of_total, of_signal = (mean(np.abs(response) ** 2) for response in responses)
+    of_signal /= step ** (2 * order)
     gains = {name: c**2 * of_total for name, c in relation.of} | {relation.signal: of_signal}
     derivative = spectrum(total[first + 1 : stop - 1], s)
     change = spectrum(signal[first:stop], e / step**order)
@@ -156,6 +163,10 @@ def _residual(record: Record, relation: Relation, order: int) -> Residual | None
     both, ahead = mean(np.real(cross)), mean(angles * np.imag(cross))
     own, faster = mean(np.abs(derivative) ** 2), mean((angles * np.abs(derivative)) ** 2)
     squares = mean(angles**2)
+    # Sums over later samples turn phases the other way.
+    exact = responses[0] * (-1j * angles) ** order
+    wrong = np.abs(responses[1] - exact) / np.maximum(np.abs(responses[1]), LEAST)
+    by_rule = mean((wrong * np.abs(change)) ** 2)
     # Neighbouring frequencies behind a taper tell the same.
     counts, weight, noise = np.diff(edges) / np.mean(taper**4), 1 / of_signal, 0.0 * of_total
     residual, times, late = None, 1.0, 0.0
@@ -166,21 +177,28 @@ def _residual(record: Record, relation: Relation, order: int) -> Residual | None
         power = mean(np.abs(change - derivative * (times + 1j * late * angles)) ** 2)
         if not (np.isfinite(power).all() and np.any(power)):
             return None
-        residual = Residual(power, gains, counts)
+        telling = by_rule < TOLERATED * power
+        if np.sum(telling) < BANDS / 2:
+            return None
+        told_by = {name: gain[telling] for name, gain in gains.items()}
+        residual = Residual(power[telling], told_by, counts[telling])
         told = _fitted([residual])
         noise = of_total * sum(c**2 * told[name].variance for name, c in relation.of)
         weight = 1 / (noise + of_signal * told[relation.signal].variance)
     return residual if abs(times - 1) <= APART and abs(late) <= 1 else None
 
 
-def _is_noise(one: Residual) -> bool:
-    """Whether white noise on its signals explains a residual's spectrum, band by band.
+def _is_noise(one: Residual, known: Mapping[str, Variance], most: Mapping[str, float]) -> bool:
+    """Whether white noise on its signals, of which some is known and some has a `most`, explains a
+    residual's spectrum band by band.
 
     The cube root of a mean of n powers over their expectation is nearly normal, of mean 1 - 1/(9 n)
     and variance 1/(9 n) (Wilson and Hilferty 1931, PNAS 17).
     """
-    told = _fitted([one])
+    told = {**_fitted([one], known), **known}
     fit = sum(told[name].variance * gain for name, gain in one.gains.items())
+    if any(told[n].variance - 2 * told[n].error > most.get(n, np.inf) for n in one.gains):
+        return False
     scatter = 1 / (9 * one.counts)
     off = np.abs(np.cbrt(one.power / fit) - (1 - scatter)) - TOLERATED / 3
     squares = np.sum(np.maximum(off, 0) ** 2 / scatter)
@@ -189,14 +207,15 @@ def _is_noise(one: Residual) -> bool:
 
 def _fitted(
     residuals: Sequence[Residual],
-    known: Mapping[str, float] = {},
-    believed: Mapping[str, Variance] = {},
+    known: Mapping[str, Variance] = {},
+    own: Mapping[str, Variance] = {},
 ) -> dict[str, Variance]:
     """Variances with which white noise has the residuals' spectra, none below zero; see
     [`variances`][].
 
-    A mean power scatters in proportion to its expectation, so that weights of the inverse squares
-    of the fit give the largest likelihood.
+    Each mean of n powers over its expectation, and each variance of 2 n degrees of freedom that a
+    signal seems to have, is a gamma variable; scoring finds the largest likelihood. Steps are
+    halved until it grows: weights of the inverse squares of the fit may else go round in circles.
     """
     names = sorted({name for one in residuals for name in one.gains})
     free = [name for name in names if name not in known]
@@ -207,27 +226,46 @@ def _fitted(
         for name in names
     }
     power = np.concatenate([one.power for one in residuals])
-    roots = np.sqrt(np.concatenate([one.counts for one in residuals]))
-    given = sum((columns[name] * known[name] for name in names if name in known), 0.0 * power)
+    given = sum((columns[n] * known[n].variance for n in names if n in known), 0.0 * power)
     # In units in which each alone would explain it all.
-    units = np.array([np.median(power[c > 0] / c[c > 0]) for c in (columns[name] for name in free)])
-    gains = units * np.stack([columns[name] for name in free], axis=1)
-    measured = np.array([believed.get(name, Variance(0.0, np.inf)) for name in free]).T / units
-    believing, seeming = np.diag(1 / measured[1]), measured[0] / measured[1]
+    units = np.array([np.median(power[c > 0] / c[c > 0]) for c in (columns[n] for n in free)])
+    seeming = [(place, own[name]) for place, name in enumerate(free) if name in own]
+    gains = np.concatenate(
+        [
+            units * np.stack([columns[name] for name in free], axis=1),
+            np.eye(len(free))[[place for place, _ in seeming]],
+        ]
+    )
+    power = np.append(power, [one.variance / units[place] for place, one in seeming])
+    given = np.append(given, np.zeros(len(seeming)))
+    errors = [max(one.error / one.variance, LEAST) for _, one in seeming]
+    counts = np.concatenate([*(one.counts for one in residuals), 1 / np.square(errors)])
+
+    def fit(values: np.ndarray) -> np.ndarray:
+        return given + gains @ np.maximum(values, LEAST)
+
+    def unlikely(values: np.ndarray) -> float:
+        return float(np.sum(counts * (power / fit(values) + np.log(fit(values)))))
+
     values, information = np.ones(len(free)), np.eye(len(free))
     for _ in range(ROUNDS):
-        weight = roots / (given + gains @ np.maximum(values, LEAST))
+        weight = np.sqrt(counts) / fit(values)
         weighed, target = gains * weight[:, None], (power - given) * weight
-        weighed = np.concatenate([weighed, believing])
-        target = np.concatenate([target, seeming])
-        information = weighed.T @ weighed
-        values, kept = np.zeros(len(free)), np.ones(len(free), bool)
+        aim, kept = np.zeros(len(free)), np.ones(len(free), bool)
         while kept.any():
-            values[kept] = np.linalg.lstsq(weighed[:, kept], target, rcond=None)[0]
-            if (values >= 0).all():
+            aim[kept] = np.linalg.lstsq(weighed[:, kept], target, rcond=None)[0]
+            if (aim >= 0).all():
                 break
-            kept, values = kept & (values > 0), np.zeros(len(free))
-    errors = np.sqrt(np.diagonal(np.linalg.pinv(information, rcond=LEAST, hermitian=True)))
-    return {
-        n: Variance(float(v), float(e)) for n, v, e in zip(free, values * units, errors * units)
-    }
+            kept, aim = kept & (aim > 0), np.zeros(len(free))
+        shares = 0.5 ** np.arange(HALVINGS)
+        before = unlikely(values)
+        better = (v for v in (values + s * (aim - values) for s in shares) if unlikely(v) < before)
+        if (step := next(better, None)) is None:
+            break
+        values = step
+    weighed = gains * (np.sqrt(counts) / fit(values))[:, None]
+    information = weighed.T @ weighed
+    size = np.sqrt(np.diagonal(information))
+    inverse = np.linalg.pinv(information / np.outer(size, size), rcond=LEAST, hermitian=True)
+    errors = units * np.sqrt(np.diagonal(inverse)) / size
+    return {n: Variance(float(v), float(e)) for n, v, e in zip(free, values * units, errors)}

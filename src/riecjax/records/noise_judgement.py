@@ -11,8 +11,7 @@ between the motion and the filter's edge; a band-limited excitation makes a shel
 which other signals then have in common, while noise of sensors is coherent with nothing.
 """
 
-import functools
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 import jax
@@ -77,10 +76,6 @@ SCATTER = 3.0
 INCOHERENT = 0.3
 """Coherence with the other signals past which a shelf is of motion. That of noise is one over the
 number of independent segments, 0.06 of 2000 samples."""
-
-
-Left: TypeAlias = Callable[[], Float[np.ndarray, " frequencies"] | float]
-"""The share of a signal's density that no other signal explains; 1 where there is none."""
 
 
 class Spectra(NamedTuple):
@@ -148,9 +143,8 @@ def _near(density: np.ndarray) -> np.ndarray:
     return np.convolve(density, np.ones(CLOSE) / CLOSE, "valid")
 
 
-def floor(of: Spectra, left: Left) -> Floor:
-    """The floor up to half the rate of a signal, else the lowest tenth of its band if any, of what
-    other signals do not explain."""
+def floor(of: Spectra) -> Floor:
+    """The floor up to half the rate of a signal, else the lowest tenth of its band if any."""
     # At half the rate itself there is one degree of freedom, not two.
     near, size, density = _near(of.density), of.density.size, of.density[:-1]
     edge = top = int((1 - TOP) * size)
@@ -169,34 +163,40 @@ def floor(of: Spectra, left: Left) -> Floor:
     by_chance = np.exp(SCATTER * np.sqrt(4 / max(TOP / 2 * of.freedom, 1.0)))
     if sooner > max(LEVELLED, by_chance) * later:
         return Floor(np.zeros(1), np.asarray(np.inf))
-    tenths = np.array_split((left() * of.density)[:-1], round(1 / TOP))
-    least = min(np.mean(tenth) for tenth in tenths)
+    least = lowest(density)
     return Floor(np.full(1, np.sqrt(least)), np.asarray(TOP * of.freedom), flat=False)
 
 
-def unexplained(every: Sequence[Spectra]) -> Float[np.ndarray, "signals frequencies"]:
-    """The share of each signal's density that no linear filter makes of the others.
+def lowest(density: Float[np.ndarray, " frequencies"]) -> float:
+    """The mean over that tenth of a band in which it is least."""
+    return float(min(np.mean(tenth) for tenth in np.array_split(density, round(1 / TOP))))
 
-    White noise is no larger, as noise of sensors has nothing in common. The share is one over the
+
+def unexplained(of: Spectra, others: Sequence[Spectra]) -> Float[np.ndarray, " frequencies"]:
+    """The density of what no linear filter makes of other signals.
+
+    White noise is no larger, as noise of sensors has nothing in common. Its share is one over the
     signal's place in the inverse of the coherency. Of n independent segments each of p others
     explains one by chance. The window is two frequencies wide, so that of each two there are as
     many as degrees of freedom.
     """
+    # Of few segments many signals would explain all.
+    independent = of.freedom / of.density.size
+    every = (of, *others[: int(independent / 2)])
     segments = np.stack([one.transforms.T for one in every], axis=1)
     size = np.sqrt(np.mean(np.abs(segments) ** 2, axis=2, keepdims=True))
     segments = np.divide(segments, size, out=np.zeros_like(segments), where=size > 0)
     coherency = segments @ segments.conj().transpose(0, 2, 1) / segments.shape[2]
     inverse = np.linalg.inv(coherency + NEGLIGIBLE**2 * np.eye(len(every)))
-    independent = every[0].freedom / every[0].density.size
     by_chance = independent / (independent - len(every) + 1)
-    return by_chance / np.real(np.diagonal(inverse, axis1=1, axis2=2)).T
+    return by_chance * of.density / np.real(inverse[:, 0, 0])
 
 
-def shelf(of: Spectra, left: Left) -> Floor | None:
+def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
     """The noise of a signal that was low-passed, if it shows between motion and filter.
 
     Its density is taken to be flat below, where motion hides it. Only where it is clear: other
-    signals must be there, and explain none of the shelf.
+    signals must be there, the same pieces of them, and none may be coherent with the shelf.
     """
     near, size = _near(of.density), of.density.size
     at_end = np.mean(of.density[int((1 - TOP) * size) : -1])
@@ -213,8 +213,14 @@ def shelf(of: Spectra, left: Left) -> Floor | None:
     density = float(np.mean(of.density[band]))
     if at_end > EMPTY * density:
         return None
-    shares = left()
-    if np.ndim(shares) == 0 or np.mean((shares * of.density)[band]) < (1 - INCOHERENT) * density:
+    coherence = []
+    for other in (spectra for spectra in others if spectra is not None):
+        here, there = of.transforms[:, band], other.transforms[:, band]
+        cross = np.abs(np.mean(here * there.conj(), axis=0)) ** 2
+        power = np.mean(np.abs(here) ** 2, axis=0) * np.mean(np.abs(there) ** 2, axis=0)
+        shares = np.divide(cross, power, out=np.zeros_like(cross), where=power > 0)
+        coherence.append(np.mean(shares))
+    if not coherence or max(coherence) > INCOHERENT:
         return None
     beyond = np.convolve(of.density, np.ones(CLOSE) / CLOSE, "same")[band.stop :]
     shape = np.concatenate([np.full(band.stop + 1, density), np.minimum(beyond, density)])
@@ -253,78 +259,67 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
     **Raises:** `DataError` for a signal that the record lacks, or an impossible noise.
     """
     known, estimates = record.with_noise(given_noise(given, record.arrays)), {}
-    together = _Together(record)
     for name in names or record.arrays:
         if name in record.arrays and known.by_name[name].noise is None:
-            signal, left = record.by_name[name], functools.partial(together.left, name)
+            signal = record.by_name[name]
+            others = [values for other, values in record.arrays.items() if other != name]
             with np.errstate(all="ignore"):
-                estimates[name] = noise_of_level(name, noise_level(signal.with_nan), signal, left)
+                estimates[name] = noise_of_level(name, noise_level(signal.with_nan), signal, others)
     return known.with_noise(Noise.of(estimates))
 
 
-class _Together:
-    """What signals of a record explain of each other, looked at once and only if asked for."""
-
-    def __init__(self, record: Record):
-        self.arrays = record.arrays
-        self.whole: dict[str, np.ndarray] | None = None
-
-    def left(self, name: str, there: np.ndarray) -> np.ndarray | float:
-        """The share of a signal's density that the others do not explain.
-
-        **Arguments:** `there`, where the signal has samples.
-        """
-        if not there.all():
-            return self._shares(name, there).get(name, 1.0)
-        if self.whole is None:
-            self.whole = self._shares(name, there)
-        return self.whole.get(name, 1.0)
-
-    def _shares(self, first: str, there: np.ndarray) -> dict[str, np.ndarray]:
-        rows = stretches_of(next(iter(self.arrays.values())).shape[-1])
-        every = {
-            name: own
-            for name in dict.fromkeys((first, *self.arrays))
-            if (own := spectra(np.where(there, np.asarray(self.arrays[name])[rows], np.nan)))
-        }
-        # Of few segments many signals would explain all.
-        most = min((int(own.freedom / own.density.size / 2) for own in every.values()), default=0)
-        names = [*every][: most + 1]
-        if len(names) < 2:
-            return {}
-        return dict(zip(names, unexplained([every[name] for name in names])))
-
-
 @np.errstate(all="ignore")
-def judged_together(record: Record, pairs: Pairs, given: Collection[str] = ()) -> Record:
-    """A record whose sensors of one motion told each other's noise.
+def judged_together(
+    record: Record, pairs: Pairs, read: Iterable[str], given: Collection[str] = ()
+) -> Record:
+    """A record whose sensors told each other's noise.
 
-    Their relations tell white noise from motion, however broad that is; a spectrum alone does not.
-    Not under jit, where the record stays as it is.
+    Relations between sensors of one motion tell white noise from motion, however broad that is; a
+    spectrum alone does not. Where there are none, noise is no larger than what other signals leave
+    unexplained. Not under jit, where the record stays as it is.
 
     **Arguments:** `record`, whose signals are [`judged`][riecjax.records.judged] each by itself;
-    `pairs` of a signal and its derivative, or relations; `given`, signals whose noise stays.
+    `pairs` of a signal and its derivative, or relations; `read`, signals that a model reads, as
+    others may be copies; `given`, signals whose noise stays.
     """
-    one_motion = {name for one in relations(pairs) for name in one.names} & {*record.arrays}
     noise = record.noise
     # What other signals are made of stays as it was when these were.
     made_of = {source for n, kernels in noise.kernels.items() for source in {*kernels} - {n}}
-    white = [n for n in one_motion & {*noise.kernels} - made_of if noise[n].is_white_of(n)]
-    if not (white and xp.is_concrete(record)) or record.arrays[white[0]].ndim > 1:
+    white = {n for n in {*noise.kernels} - made_of if noise[n].is_white_of(n)} & {*record.arrays}
+    if not (white and xp.is_concrete(record)) or record.arrays[min(white)].ndim > 1:
         return record
     own = {}
     for name in white:
         variance = float(noise.std(name)) ** 2
         freedom = np.inf if name in given else float(noise.freedom.get(name, np.inf))
         own[name] = Variance(variance, variance * np.sqrt(2 / freedom))
-    better = {}
-    for name, told in variances(record.select(*white), pairs, own, given).items():
-        if 0 < told.error < told.variance:
-            freedom = np.asarray(2 * (told.variance / told.error) ** 2)
-            better[name] = SignalNoise({name: np.sqrt([told.variance])}, {name: freedom})
-        elif own[name].variance > 0:
-            better[name] = np.sqrt(told.variance / own[name].variance) * noise[name]
-    return record.with_noise(Noise.of(better))
+    # A filter of a signal has its noise, and so have those that it may be a derivative of.
+    related = [{*one.names} for one in relations(pairs)]
+    names = [name for name in dict.fromkeys(read) if name in white]
+    unsure = [name for name in names if own[name].error >= own[name].variance > 0]
+    if unsure:
+        present = record.present(names)
+        rows = stretches_of(record.sample_count)
+        there = np.full(record.sample_count, True) if present is None else np.asarray(present)
+        values = (np.where(there, record.arrays[name], np.nan)[rows] for name in names)
+        spectra_of = {n: one for n, one in zip(names, map(spectra, values)) if one is not None}
+        for name in (name for name in unsure if name in spectra_of):
+            beside = {name}.union(*(one for one in related if name in one))
+            others = [one for n, one in spectra_of.items() if n not in beside]
+            most = lowest(unexplained(spectra_of[name], others)[:-1])
+            if others and most < own[name].variance:
+                own[name] = Variance(most, most)
+    known = [name for name in given if name in own]
+    told = variances(record.select(*sorted(white)), pairs, own, known)
+    better = {n: one for n, one in (own | told).items() if one.error > 0 and n not in known}
+    return record.with_noise(
+        Noise.of(
+            {
+                name: SignalNoise({name: np.sqrt([v])}, {name: np.asarray(2 * (v / error) ** 2)})
+                for name, (v, error) in better.items()
+            }
+        )
+    )
 
 
 def noise_entries(records: Sequence[Record], names: Iterable[str]) -> dict[str, dict[str, object]]:
@@ -364,15 +359,11 @@ def given_noise(given: GivenNoise, signals: Collection[str]) -> Noise:
 
 
 def noise_of_level(
-    name: str,
-    level: Leaf,
-    signal: Signal,
-    left: Callable[[np.ndarray], np.ndarray | float] = lambda there: 1.0,
+    name: str, level: Leaf, signal: Signal, others: Sequence[Leaf] = ()
 ) -> SignalNoise:
     """The noise on a signal, by its differences' level and by which values it takes.
 
-    **Arguments:** `left`, the share of the signal's density that others do not explain, by a mask
-    of its samples.
+    **Arguments:** `others`, the record's other signals.
     """
     samples = xp.asarray(signal.values)
     level = xp.asarray(xp.where(level > MOST_NOISE * xp.std(samples, axis=-1), 0.0, level))
@@ -380,17 +371,14 @@ def noise_of_level(
     freedom = np.asarray(max(seen - DIFFERENCE_ORDER, 1) / REPEATS)
     if xp.are_traced(level, samples) or samples.ndim > 1:
         return SignalNoise({name: level[..., None]}, {name: freedom})
-    known = _by_values(signal, np.asarray(level), freedom, left)
+    known = _by_values(signal, np.asarray(level), freedom, others)
     return (
         SignalNoise() if known is None else SignalNoise({name: known.taps}, {name: known.freedom})
     )
 
 
 def _by_values(
-    signal: Signal,
-    level: np.ndarray,
-    freedom: np.ndarray,
-    left: Callable[[np.ndarray], np.ndarray | float],
+    signal: Signal, level: np.ndarray, freedom: np.ndarray, others: Sequence[Leaf]
 ) -> Floor | None:
     """The noise by what values a signal takes; `None` of a command."""
     samples = signal.with_nan
@@ -407,10 +395,11 @@ def _by_values(
         return None
     found, own = Floor(level[None], freedom), spectra(values)
     if own is not None:
-        filtered = shelf(own, functools.partial(left, there))
+        elsewhere = (np.where(there, np.asarray(other)[rows], np.nan) for other in others)
+        filtered = shelf(own, map(spectra, elsewhere))
         if filtered is not None and level < filtered.level < MOST_NOISE * np.std(known):
             return filtered
-        flat = floor(own, functools.partial(left, there))
+        flat = floor(own)
         # Spikes and steps raise a spectrum, and not the differences that are usual.
         # The least of ten densities scatters too, and is taken if it is lower for certain.
         scatter = SCATTER / np.sqrt(2 * (freedom if flat.flat else flat.freedom))

@@ -257,7 +257,7 @@ def _recording(
         pairs, given = declared_pairs(model), given_noise(settings.noise, record.arrays).kernels
         record, found = without_computed(record, pairs, given)
         aligned = aligning(record, pairs, settings.align)
-        record = judged_together(aligned.record, pairs, given)
+        record = judged_together(aligned.record, pairs, read_by, given)
         record, last_steps = prepare(record, getattr(model, "derived", {}), after)
     findings = [
         *(Finding("time_unit_doubtful", why, doubt=1.0) for why in filter(None, [selected.doubt])),

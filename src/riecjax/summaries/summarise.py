@@ -128,6 +128,7 @@ def ready(model: Model, records: Records, noise: GivenNoise = "auto") -> list[Re
     for element in model.hidden:
         element.require_linear(model.equations)
     units = {signal.name: signal.unit for signal in model.signals if signal.unit}
+    read = [signal.name for signal in model.signals]
 
     def of(recording: Recording) -> Recording:
         # Units that the model does not say are those of the first recording that does.
@@ -149,7 +150,7 @@ def ready(model: Model, records: Records, noise: GivenNoise = "auto") -> list[Re
             known = {**record.noise.kernels, **given_noise(noise, record.arrays).kernels}
             record = judged(record, noise)
             record, found = without_computed(record, model.derivatives, known)
-            record = judged_together(record, model.derivatives, {*known})
+            record = judged_together(record, model.derivatives, read, {*known})
             record = with_states(model, record)
         return replace(recording, record=record, steps=(*recording.steps, *steps, *found))
 
