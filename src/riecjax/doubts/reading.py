@@ -73,8 +73,10 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
                 group.setdefault(name, ahead + seconds)
         after = ((name, s - min(g.values())) for g in groups for name, s in g.items())
         late = {name: s for name, s in after if s > SMALLEST * float(record.time_step)}
+    words = tuple(f"{name}: no delay found" for name in names if not late.get(name))
+    late = {name: seconds for name, seconds in late.items() if seconds}
     if not late:
-        return Aligned(record, holding=holds)
+        return Aligned(record, words, holding=holds)
     told = []
     for name, seconds in late.items():
         mine = [one for one in found if name in one.relation.names]
@@ -88,7 +90,7 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
             f"the two cannot tell."
         )
         told.append(Finding("late_signal", message, (name,)))
-    words = tuple(f"{name}: advanced by {seconds:.4g} s" for name, seconds in late.items())
+    words += tuple(f"{name}: advanced by {seconds:.4g} s" for name, seconds in late.items())
     return Aligned(shift(record, late), words, tuple(told))
 
 

@@ -147,7 +147,7 @@ def find_time(
     doubt = "" if why or stated else _other_unit(name, since, shortest)
     # `rec.X.Data`, as ControlDesk writes it, is an X as well.
     bare = _bare(name.removesuffix(".Data").rpartition(".")[2])
-    if name not in (*called, given) and not stated and bare not in UNSAID:
+    if name not in (*called, given) and not (stated or why or bare in UNSAID):
         doubt = doubt or _GUESSED.format(name)
     return TimeColumn(name, since, notes, doubt)
 
