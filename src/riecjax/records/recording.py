@@ -277,14 +277,7 @@ def _recording(
     read_steps = [
         _rows_read(channels),
         *channels.notes,
-        *selected.notes,
-        *(f"{name}: column scaled by {by:g}" for name, by in settings.scale.items()),
-        *(
-            f"{n}: {old} to {selected.record.signal(n).unit}"
-            for n, old in selected.converted.items()
-        ),
-        *(f"resampled to {hertz:g} Hz" for hertz in filter(None, [settings.resample])),
-        *(f"{name}: {formula}" for name, formula in settings.derive.items()),
+        *selected.steps,
         *_gaps(selected.record),
         *(*first_steps, *found, *aligned.words, *last_steps),
     ]

@@ -135,6 +135,11 @@ class Channels:
         name, unit = split_unit(column, self.nested)
         return name, self.units.get(column) or unit
 
+    @property
+    def short(self) -> dict[str, str]:
+        """Columns to their names without units."""
+        return {column: self.named(column)[0] for column in self.columns}
+
     def take(self, name: str, values: np.ndarray | None, unit: str = "", why: str = "") -> None:
         """Add a column, in its unit where it has one; leave out what is none, with the reason."""
         if values is None:
