@@ -4,7 +4,7 @@ each, which is time, in which units.
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -425,7 +425,7 @@ def _first_reason(channels: Channels) -> str:
 
 
 # Names alone do not tell a recording from a sensor: `Y(1).Data`, `Y(2).Data` are two channels of
-# one recording, and `X.time`, `X.signals.values` is one of Simulink's. So a part counts as a
+# one recording, and `X1.time`, `X1.signals.values` is one of Simulink's. So a part counts as a
 # recording where it holds signals with names of their own, and is timed by itself.
 
 _INDEXED = re.compile(
@@ -438,8 +438,6 @@ GENERIC = frozenset(("data", "value", "values", "signal", "signals", "samples"))
 CHOOSE = "choose one by part='NAME' (on the command line: --part NAME)"
 DEEPEST_GROUP = 3
 """Groups within groups in which recordings are looked for."""
-UNLIKE = 0.05
-"""Share by which lengths of groups without numbers differ, if they are recordings, not sensors."""
 
 
 class Parts(NamedTuple):
@@ -449,114 +447,78 @@ class Parts(NamedTuple):
     broken: Mapping[str, str] = {}
 
 
-Member = dict[str, str]
-"""Columns of a part: their names inside it, to those in the file."""
+Members = dict[str, dict[str, str]]
+"""Columns of parts that are alike, by a part's name: their names inside it, to those in the file.
+"""
 
 
-class _Place(NamedTuple):
-    """Where a column may lie: `kind` and `stem` of the parts that are alike, which of these, and
-    its name in there."""
-
-    kind: str
-    stem: str
-    part: str
-    inner: str
+def _usual(members: Members) -> frozenset[str]:
+    """The columns that most parts have; of equally many, the most columns."""
+    kinds = [frozenset(member) for member in members.values()]
+    return max(kinds, key=lambda kind: (kinds.count(kind), len(kind)), default=frozenset())
 
 
-def _places(channels: Channels) -> Iterator[tuple[str, _Place]]:
-    """Columns, and what was left out, for an empty part is a part; with each place in a part.
+def _families(channels: Channels) -> dict[tuple[str, ...], Members]:
+    """Parts that are alike, by their kind and what tells one family from another.
 
-    Elements of arrays of structures, and of cells with structures in them: `runs(1).x`,
-    `runs{1}.x`. Cells of vectors and matrices, where those of as long a first one belong together:
-    `T{1}`, `X{1}[0]`. Groups in one group, those with numbers behind one stem together: `run1/x`.
+    Sheets with the same columns. Elements of arrays of structures, and of cells with structures in
+    them: `runs(1).x`, `runs{1}.x`. Cells of vectors and matrices, where those of as long a first
+    one belong together: `T{1}`, `X{1}[0]`. Groups in one group, those with numbers behind one stem
+    together: `run1/x`. An empty part is a part, and so what is left out has its place too.
     """
+    families: dict[tuple[str, ...], Members] = {}
+    for sheet in channels.parts:
+        columns = [name for name in channels.columns if name.startswith(f"{sheet}/")]
+        inner = {name.removeprefix(f"{sheet}/"): name for name in columns}
+        families.setdefault(("sheet", *sorted(inner)), {})[sheet] = inner
     sizes: dict[str, int] = {}
     heads: dict[int, str] = {}
-    for name in [*channels.columns, *channels.left_out]:
+    for name in [*channels.columns, *channels.left_out] if channels.nested else ():
+        places: list[tuple[tuple[str, ...], str, str]] = []
         found = _INDEXED.fullmatch(name)
-        if channels.parts:
-            for sheet in channels.parts:
-                if name.startswith(f"{sheet}/"):
-                    yield name, _Place("sheet", "", sheet, name.removeprefix(f"{sheet}/"))
-        elif found and found["rest"].startswith("."):
+        if found is None:
+            stem = ""
+            for mark in [*_SEPARATOR.finditer(name)][:DEEPEST_GROUP]:
+                group = name[: mark.start()]
+                number = _NUMBERED.fullmatch(group)
+                family = ("number", number["stem"]) if number else ("name", stem)
+                places.append((family, group, name[mark.end() :]))
+                stem = group
+        elif found["rest"].startswith("."):
             stem = found["head"]
-            yield name, _Place("element", stem, stem + found["index"], found["rest"][1:])
-        elif found and found["index"].startswith("{") and name in channels.columns:
+            places = [(("element", stem), stem + found["index"], found["rest"][1:])]
+        elif found["index"].startswith("{") and name in channels.columns:
             size = sizes.setdefault(found["head"], channels.columns[name].size)
             stem = heads.setdefault(size, found["head"])
             inner = _SEPARATOR.split(found["head"])[-1] + found["rest"]
-            yield name, _Place("element", f"{stem}{{", stem + found["index"], inner)
-        elif not found:
-            stem = ""
-            for mark in [*_SEPARATOR.finditer(name)][:DEEPEST_GROUP]:
-                group, inner = name[: mark.start()], name[mark.end() :]
-                numbered = _NUMBERED.fullmatch(group)
-                kind = "number" if numbered else "name"
-                yield name, _Place(kind, numbered["stem"] if numbered else stem, group, inner)
-                stem = group
+            places = [(("cell", stem), stem + found["index"], inner)]
+        for family, part, inner in places:
+            member = families.setdefault(family, {}).setdefault(part, {})
+            member |= {inner: name} if name in channels.columns else {}
+    # Groups of HDF5 stand in the order of the alphabet, run10 before run2.
+    return {
+        family: {n: members[n] for n in sorted(members, key=_number)}
+        if family[0] == "number"
+        else members
+        for family, members in families.items()
+    }
 
 
-def _families(channels: Channels) -> list["_Family"]:
-    """Parts that are alike and may be recordings."""
-    families: dict[tuple[str, str], dict[str, Member]] = {}
-    for name, place in _places(channels) if channels.parts or channels.nested else ():
-        members = families.setdefault((place.kind, place.stem), {})
-        member = members.setdefault(place.part, {})
-        if name in channels.columns:
-            member[place.inner] = name
-    for (kind, _), members in families.items():
-        if kind == "number":
-            # Groups of HDF5 stand in the order of the alphabet, run10 before run2.
-            order = sorted(members, key=lambda group: int(re.findall(r"\d+", group)[-1]))
-            members |= {group: members.pop(group) for group in order}
-    return [_Family(members, kind) for (kind, _), members in families.items()]
+def _number(group: str) -> int:
+    return int(re.findall(r"\d+", group)[-1])
 
 
-class _Family(NamedTuple):
-    """Parts that may be recordings, by name. `kind`: what tells them apart."""
-
-    members: dict[str, Member]
-    kind: str
-
-    def usual(self) -> frozenset[str]:
-        """The columns that most members have; of equally many, the most columns."""
-        kinds = [frozenset(member) for member in self.members.values()]
-        return max(kinds, key=lambda kind: (kinds.count(kind), len(kind)), default=frozenset())
-
-    @property
-    def differs(self) -> bool:
-        """Whether these are sheets of different kinds."""
-        return self.kind == "sheet" and len({frozenset(m) for m in self.members.values()}) > 1
-
-    def are_recordings(self, channels: Channels) -> bool:
-        """Whether these are recordings, and no sensors of one."""
-        if len(self.members) < 2 or self.kind == "sheet":
-            return len(self.members) >= 2
-        usual = self.usual()
-        signals = [name for name in usual if not _is_time(name)]
-        # The last of their names, without a place in a matrix.
-        bare = {_SEPARATOR.split(name)[-1].partition("[")[0].lower() for name in signals}
-        if len(usual) < 2 or bare <= GENERIC:
-            return False
-        members = [
-            {inner: channels.columns[name] for inner, name in member.items()}
-            for member in self.members.values()
-            if member
-        ]
-        if len(signals) < len(usual):
-            # Sensors record for as long as each other, tests rarely.
-            spans = [
-                max((float(np.nanmax(t) - np.nanmin(t)) for n, t in one.items() if _is_time(n)),
-                    default=0.0)
-                for one in members
-            ]  # fmt: skip
-            apart = len(signals) > 1 and max(spans) > (1 + UNLIKE) * min(spans)
-            return self.kind != "name" or apart
-        sizes = {max(values.size for values in one.values()) for one in members}
-        beside = {values.size for name, values in channels.columns.items() if _is_time(name)}
-        if self.kind == "element":
-            return len(sizes) > 1 or not sizes <= beside
-        return self.kind == "number" and len(sizes) > 1
+def _are_recordings(kind: str, members: Members, channels: Channels) -> bool:
+    """Whether parts are recordings, and no sensors of one."""
+    usual = _usual(members)
+    if kind in ("sheet", "name") or min(len(members), len(usual)) < 2:
+        return kind == "sheet" and len(channels.parts) > 1
+    # The last of their names, without a place in a matrix.
+    signals = [_SEPARATOR.split(name)[-1] for name in usual if not _is_time(name)]
+    if {name.partition("[")[0].lower() for name in signals} <= GENERIC:
+        return False
+    held = [[channels.columns[n].size for n in part.values()] for part in members.values() if part]
+    return len(signals) < len(usual) or len(set(map(max, held))) > 1
 
 
 def recordings_in(channels: Channels, named: Collection[str] = (), part: str = "") -> Parts:
@@ -571,38 +533,29 @@ def recordings_in(channels: Channels, named: Collection[str] = (), part: str = "
     **Raises:** `DataError` if there is no such part, or where it is unclear which parts are meant.
     """
     families = _families(channels)
+    every = {n: member for members in families.values() for n, member in members.items()}
     if part:
-        members = {n: member for family in families[::-1] for n, member in family.members.items()}
-        if part not in members:
-            there = dict.fromkeys(name for family in families for name in family.members)
-            raise DataError(f"there is no part '{part}'; there are: {listed(there) or 'none'}.")
-        return Parts({part: _alone(channels, members[part])})
-    found = [family for family in families if family.are_recordings(channels)]
-    inside = {column for f in found for member in f.members.values() for column in member.values()}
+        if part not in every:
+            raise DataError(f"there is no part '{part}'; there are: {listed(every) or 'none'}.")
+        return Parts({part: _alone(channels, every[part])})
+    found = [m for (kind, *_), m in families.items() if _are_recordings(kind, m, channels)]
+    inside = {column for members in found for each in members.values() for column in each.values()}
     if not found or inside & {*named}:
         return Parts({"": channels})
-    found = [
-        family
-        for family in found
-        if all(_called({c: split_unit(c)[0] for c in family.usual()}, name) for name in named)
-    ] or found
-    if len({family.usual() for family in found}) > 1 or any(family.differs for family in found):
-        kinds = (
-            item for f in found for item in list(f.members.items())[: None if f.differs else 1]
-        )
-        listing = "; ".join(f"{name} with {listed(member)}" for name, member in kinds)
+    short = [{name: split_unit(name)[0] for name in _usual(members)} for members in found]
+    having = [m for m, own in zip(found, short) if all(_called(own, name) for name in named)]
+    found = having or found
+    if len({_usual(members) for members in found}) > 1:
+        firsts = (next(iter(members.items())) for members in found)
+        listing = "; ".join(f"{name} with {listed(member)}" for name, member in firsts)
         raise DataError(f"it holds recordings of several kinds: {listing}; {CHOOSE}.")
-    held, broken = {}, {}
-    for family in found:
-        for name, member in family.members.items():
-            if lacking := sorted(family.usual() - member.keys()):
-                broken[name] = f"it lacks {listed(lacking)}"
-            else:
-                held[name] = _alone(channels, member)
-    return Parts(held, broken)
+    parts = {name: member for members in found for name, member in members.items()}
+    lacking = {name: sorted(_usual(found[0]) - member.keys()) for name, member in parts.items()}
+    held = {name: _alone(channels, parts[name]) for name in parts if not lacking[name]}
+    return Parts(held, {n: f"it lacks {listed(names)}" for n, names in lacking.items() if names})
 
 
-def _alone(channels: Channels, member: Member) -> Channels:
+def _alone(channels: Channels, member: Mapping[str, str]) -> Channels:
     """A part as a file of its own, with what lies beside the parts and is as long."""
     sizes = {channels.columns[name].size for name in member.values()}
     timed = any(map(_is_time, member))
@@ -613,14 +566,12 @@ def _alone(channels: Channels, member: Member) -> Channels:
         and values.size in sizes
         and not (timed and _is_time(name))
     }
-    inner = {name: own for own, name in (beside | member).items()}
+    inner = {name: own for own, name in (beside | {**member}).items()}
     ends = (name.removesuffix(own) for own, name in member.items() if name.endswith(own))
     prefix = next(ends, "")
-    scalars = channels.scalars
-    own = {n.removeprefix(prefix): v for n, v in scalars.items() if n.startswith(prefix)}
-    alone = replace(
-        Channels({}), left_out=channels.left_out, notes=channels.notes, scalars=scalars | own
-    )
+    own = {n.removeprefix(prefix): v for n, v in channels.scalars.items() if n.startswith(prefix)}
+    scalars = channels.scalars | own
+    alone = Channels({}, left_out=channels.left_out, notes=channels.notes, scalars=scalars)
     for name, own in inner.items():
         alone.take(own, channels.columns[name], channels.units.get(name, ""))
         if (time := channels.time_of.get(name)) in inner:
