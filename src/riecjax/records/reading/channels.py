@@ -444,7 +444,8 @@ def read_channels(
             if isinstance(error, MemoryError) or suffix in READERS:
                 raise
             said = f"its reader failed: {first_sentence(error)}"
-        raise about(file.name, error, said) from error
+        cause = None if isinstance(error, RiecjaxError) else error
+        raise about(file.name, error, said) from cause
 
 
 def endings() -> tuple[str, ...]:
