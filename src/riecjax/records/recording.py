@@ -147,11 +147,10 @@ def only_recording(
     """
     parts = _held(path, settings.part or ", ".join(settings.parts), settings)
     if len(parts.held) > 1:
-        with _explaining(str(path), {}, {}):
-            raise DataError(
-                f"it holds {len(parts.held)} recordings: {listed(parts.held)}; read all of them "
-                f"with rx.read_recordings, or {CHOOSE}."
-            )
+        raise DataError(
+            f"{Path(path).name}: it holds {len(parts.held)} recordings: {listed(parts.held)}; read "
+            f"all of them with rx.read_recordings, or {CHOOSE}."
+        )
     return _recordings(path, parts, settings, aligning)[0]
 
 

@@ -31,22 +31,6 @@ from riecjax.records.time_base import StampError, time_base
 from riecjax.settings import Read, Select
 
 
-class Selected(NamedTuple):
-    """A record, and what was decided on selecting it, in words.
-
-    **Fields:** `converted`: signal to the unit that it was converted from; `steps`, what was done,
-    in its order; `doubt` in words that time is what it is taken for, empty if none; `findings`, on
-    signals that were repaired; `left_out`: column to the reason why it is no signal.
-    """
-
-    record: Record
-    converted: Mapping[str, str] = {}
-    steps: tuple[str, ...] = ()
-    doubt: str = ""
-    findings: tuple[Finding, ...] = ()
-    left_out: Mapping[str, str] = {}
-
-
 @dataclass
 class _Signal:
     """Values of a column, which change as it is converted; its unit, and the one before.
@@ -66,7 +50,7 @@ def record_from_channels(
     selection: Select,
     read: Mapping[str, str] | None = None,
     shortest: float | None = None,
-) -> Selected:
+) -> "Selected":
     """Make a record of a file's channels.
 
     Signals of known units are converted to SI: to the unit in which they are read, else to the
@@ -83,40 +67,44 @@ def record_from_channels(
     """
     if not channels.columns:
         raise DataError(f"no columns of numbers were found{_first_reason(channels)}.")
-    signals = _Signals(channels, selection, read)
-    signals.convert_as_said()
-    time = signals.time("t" if "t" in selection.rename else None, shortest)
-    column = signals.held[time.name].column if time else ""
-    signals.take_time(time)
-    signals.convert()
+    selected = Selected(channels, selection, read)
+    selected.convert_as_said()
+    time = selected.time("t" if "t" in selection.rename else None, shortest)
+    column = selected.held[time.name].column if time else ""
+    selected.take_time(time)
+    selected.convert()
     if selection.time_step is None and selection.resample is None:
-        signals.share_time()
+        selected.share_time()
+        selected.doubt = time.doubt if time else ""
     try:
-        findings = signals.treat()
-        record = signals.record()
+        selected.treat()
+        selected.make_record()
     except StampError as error:
         if not time:
             raise
         raise DataError(f"column '{column}': {error}") from None
-    doubt = time.doubt if time and selection.time_step is None and not selection.resample else ""
-    converted = {name: s.converted for name, s in signals.held.items() if s.converted}
-    steps = (*signals.steps,)
-    return Selected(record, converted, steps, doubt, (*findings,), signals.left_out)
+    return selected
 
 
-class _Signals:
-    """Signals on their way to a record. Each method is a step; `steps` says what each did.
+class Selected:
+    """Signals on their way to a record, and what was decided. Each method is a step.
 
-    **Fields:** `held`: name to signal; `units`: signal to the unit in which it is read; `formulas`
-    in SI; `asked`: signals that are asked for, by the model or by what the user says, and `matter`:
-    these, or all where none is; `left_out`: column to why it is no signal.
+    **Fields:** `record`, at last; `steps`, what was done, in words; `doubt` in words that time is
+    what it is taken for, empty if none; `findings`, on signals that were repaired; `left_out`:
+    column to why it is no signal; `held`: name to signal; `units`: signal to the unit in which it
+    is read; `formulas` in SI; `asked`: signals that are asked for, by the model or by what the user
+    says, and `matter`: these, or all where none is.
     """
+
+    record: Record
+    doubt: str = ""
 
     def __init__(
         self, channels: Channels, selection: Select, read: Mapping[str, str] | None
     ) -> None:
         self.channels, self.selection, self.units = channels, selection, read or {}
         self.steps: list[str] = []
+        self.findings: list[Finding] = []
         self.left_out: dict[str, str] = {}
         self.held: dict[str, _Signal] = {}
         self.derived_units: dict[str, str] = {}
@@ -143,6 +131,11 @@ class _Signals:
         words = re.findall(r"\w+", " ".join(selection.derive.values()))
         self.asked = {*self.units, *rename, *selection.scale, *selection.units, *words}
         self.has_model = read is not None
+
+    @property
+    def converted(self) -> dict[str, str]:
+        """Signals to the units that they were converted from."""
+        return {name: signal.converted for name, signal in self.held.items() if signal.converted}
 
     def time(self, given: str | None = None, shortest: float | None = None) -> TimeColumn | None:
         """The time of all signals, or the `given` one as time."""
@@ -218,12 +211,9 @@ class _Signals:
                 signal.values = signal.values[::-1]
         held = {name: s for name, s in self.held.items() if time is None or name != time.name}
         if step is not None:
-            unused = [time.name] if time is not None else []
-            self.steps += [
-                f"column '{name}' is not used: the time step is given" for name in unused
-            ]
-            lengths = [s.values.size for name, s in held.items() if name in rename]
-            lengths = lengths or [s.values.size for s in held.values()]
+            if time is not None:
+                self.steps.append(f"column '{time.name}' is not used: the time step is given")
+            lengths = [held[name].values.size for name in (held.keys() & rename) or held]
             size = max(lengths, key=lambda size: (lengths.count(size), size), default=0)
             axes = dict.fromkeys(held, step * np.arange(size))
         elif time is not None:
@@ -240,12 +230,9 @@ class _Signals:
         }
         for name, column in rename.items():
             if name not in self.held and name != "t":
-                column, common = column_named(self.channels, column), "the time"
-                if step is not None:
-                    common = "the others"
-                raise DataError(
-                    f"column '{column}' has another length than {common}, {size} samples."
-                )
+                column = column_named(self.channels, column)
+                common = f"{'the time' if step is None else 'the others'}, {size} samples"
+                raise DataError(f"column '{column}' has another length than {common}.")
 
     def _own_times(self) -> dict[str, np.ndarray]:
         """The times of signals whose columns have some of their own.
@@ -329,25 +316,21 @@ class _Signals:
         time = time[filled]
         self.held = {n: replace(s, values=s.values[filled], time=time) for n, s in held.items()}
 
-    def treat(self) -> list[Finding]:
-        """See to spikes.
-
-        **Returns:** what is amiss with signals that have some.
-        """
+    def treat(self) -> None:
+        """See to spikes."""
         # What a program hands over as arrays is left as it is.
         how = self.selection.outliers if isinstance(self.selection, Read) else "keep"
         matter = {name: s.values for name, s in self.held.items() if name in self.matter}
         times = {name: signal.time for name, signal in self.held.items()}
         units = {name: signal.unit for name, signal in self.held.items()}
         step = self.selection.time_step
-        treated, words, findings = treat_all(matter, times, units, step, how, self.formulas)
+        treated, words, self.findings = treat_all(matter, times, units, step, how, self.formulas)
         for name, values in treated.items():
             self.held[name].values = values
         self.steps += words
-        return findings
 
-    def record(self) -> Record:
-        """The record, resampled where that is asked for, with formulas' signals and its noise."""
+    def make_record(self) -> None:
+        """Make the record, resampled where that is asked for, with formulas and its noise."""
         values = {name: signal.values for name, signal in self.held.items()}
         step, rate = self.selection.time_step, self.selection.resample
         axis = None if step else next(iter(self.held.values())).time
@@ -366,8 +349,8 @@ class _Signals:
         for name, formula in self.formulas.items():
             values[name] = derived(formula, scalars | clock | values)
             self.steps.append(f"{name}: {self.selection.derive[name]}")
-        step = step if axis is None else None
         units = {name: signal.unit for name, signal in self.held.items()} | self.derived_units
+        step = step if axis is None else None
         record = Record.from_samples(values, time=axis, time_step=step, units=units)
         given = given_noise(self.selection.noise, record.arrays)
         record = record.with_noise(given)
@@ -386,7 +369,7 @@ class _Signals:
         for name, formula in formulas.items():
             levels = {n: float(noise.std(n)) for n in columns if n in noise.kernels}
             noise = noise.combined(name, sensitivities(formula, columns, levels))
-        return record.with_noise(noise)
+        self.record = record.with_noise(noise)
 
 
 def column_named(channels: Channels, name: str) -> str:
