@@ -301,8 +301,6 @@ DOCUMENTS = {
     "array of objects": OBJECTS,
     "object of arrays": {"t": TIME.tolist(), "x": X.tolist(), "rate": 10, "by": ["me"]},
     "both in others": {"meta": {"rig": 3}, "data": {"t": TIME.tolist(), "x": X.tolist()}},
-    "names above rows": [["t", "x"], *ROWS],
-    "pandas split": {"columns": ["t", "x"], "index": list(range(N)), "data": ROWS},
     "pandas columns": {n: {str(i): r[k] for i, r in enumerate(ROWS)} for k, n in enumerate("tx")},
 }
 

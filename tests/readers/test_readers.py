@@ -72,8 +72,10 @@ def write_json(path: Path, columns: Columns) -> None:
 
 def write_sheet(path: Path, columns: Columns) -> None:
     book = openpyxl.Workbook()
-    for row in (["a title"], [], list(columns), *zip(*(v.tolist() for v in columns.values()))):
-        book.worksheets[0].append(list(row))
+    # Below a title, one column further to the right.
+    book.worksheets[0].append(["a title"])
+    for row in ([], list(columns), *zip(*(v.tolist() for v in columns.values()))):
+        book.worksheets[0].append([None, *row])
     book.save(path)
 
 

@@ -3,7 +3,7 @@
 import datetime
 import re
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from riecjax.errors import DataError
@@ -49,21 +49,23 @@ def read_spreadsheet(
     shown = [one for one in sheets if one.visible == python_calamine.SheetVisibleEnum.Visible]
     names = [sheet.name for sheet in shown or sheets]
     tables: dict[str, reading.Channels] = {}
-    refused: dict[str, str] = {}
+    refused: list[str] = []
     for name in names:
         sheet = book.get_sheet_by_name(name)
         reading.check_declared(sheet.width, 8 * sheet.width * sheet.height)
         try:
             text = as_text(sheet.to_python(), decimal)
-            table = reading.read_table(text.encode(), "\t", decimal, columns)
-            if not table.columns:
+            # A stroke in a sheet's name would look like a group.
+            part = name.replace("/", " ")
+            tables[part] = reading.read_table(text.encode(), "\t", ".", columns)
+            if not tables[part].columns:
+                del tables[part]
                 raise DataError("it has no column of numbers.")
-            tables[name] = table
         except DataError as error:
-            refused[name] = str(error)
+            refused.append(f"sheet '{name}': {error}")
     if not tables:
-        said = "; ".join(f"sheet '{name}': {why}" for name, why in refused.items())
-        raise DataError(f"no sheet holds a table of numbers: {said or 'there is no sheet.'}")
+        said = "; ".join(refused) or "there is no sheet."
+        raise DataError(f"no sheet holds a table of numbers: {said}")
     # Of several, those that may be recordings.
     large = {
         name: table
@@ -71,8 +73,7 @@ def read_spreadsheet(
         if sum(values.size >= FEWEST_ROWS for values in table.columns.values()) >= FEWEST_COLUMNS
     } or tables
     if len(large) > 1:
-        # A stroke in a sheet's name would look like a group.
-        whole = reading.joined({name.replace("/", " "): table for name, table in large.items()})
+        whole = reading.joined(large)
     else:
         ((name, whole),) = large.items()
         whole.notes[:0] = [f"sheet '{name}'"] * (len(tables) + len(refused) > 1)
@@ -81,37 +82,26 @@ def read_spreadsheet(
     return whole
 
 
-def as_text(rows: Iterable[Sequence[object]], decimal: str | None = None) -> str:
-    """Cells as text delimited by tabs, to the last digit.
-
-    Where there are numbers with a decimal comma, as text, all numbers get one.
-    """
-    cells = [[_text(cell) for cell in row] for row in rows]
-    texts = (text for row in cells for text in row if isinstance(text, str))
-    comma = decimal == "," or (decimal is None and any(map(_DECIMAL_COMMA.fullmatch, texts)))
-
-    def shown(cell: str | float) -> str:
-        if isinstance(cell, str):
-            return cell
-        return repr(cell).replace(".", ",") if comma else repr(cell)
-
-    # Columns left of the table are empty but for a title.
+def as_text(rows: Sequence[Sequence[object]], decimal: str | None = None) -> str:
+    """Cells as text delimited by tabs, to the last digit, numbers with a decimal point."""
     margin = 0
-    for place, column in enumerate(zip(*cells, strict=True)):
-        filled = [cell for cell in column if cell != ""]
-        if len(filled) > FILLED * len(column) or not all(isinstance(cell, str) for cell in filled):
+    for place, column in enumerate(zip(*rows, strict=True)):
+        # Columns left of the table are empty but for a title.
+        texts = [cell for cell in column if isinstance(cell, str)]
+        if len(texts) < len(column) or sum(map(bool, texts)) > FILLED * len(column):
             margin = place
             break
-    return "".join("\t".join(map(shown, row[margin:])) + "\n" for row in cells)
+    lines = ("\t".join(_text(cell, decimal) for cell in row[margin:]) for row in rows)
+    return "".join(f"{line}\n" for line in lines)
 
 
-def _text(cell: object) -> str | float:
+def _text(cell: object, decimal: str | None) -> str:
     """A cell's number, or its text without what would delimit cells or rows."""
     match cell:
         case bool():
-            return int(cell)
+            return str(int(cell))
         case int() | float():
-            return cell
+            return repr(cell)
         case datetime.timedelta():
             minutes, seconds = divmod(cell, datetime.timedelta(minutes=1))
             return f"{minutes // 60}:{minutes % 60:02d}:{seconds.total_seconds():09.6f}"
@@ -121,4 +111,5 @@ def _text(cell: object) -> str | float:
             return f"{cell.isoformat()} 00:00:00"
         case datetime.time():
             return cell.isoformat()
-    return re.sub(r'[\s"]+', " ", str(cell)).strip()
+    text = re.sub(r'[\s"]+', " ", str(cell)).strip()
+    return text.replace(",", ".") if decimal != "." and _DECIMAL_COMMA.fullmatch(text) else text

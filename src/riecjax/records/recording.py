@@ -15,7 +15,7 @@ from riecjax.records.faults.rows import duplicates, without_repetitions
 from riecjax.records.noise_judgement import given_noise, judged_together
 from riecjax.records.preparation.filtering import without_computed
 from riecjax.records.preparation.steps import halves, idle_cuts, prepare, split
-from riecjax.records.reading.channels import LONGEST_MESSAGE, Channels, read_channels
+from riecjax.records.reading.channels import Channels, about, read_channels
 from riecjax.records.reading.selection import CHOOSE, Parts, record_from_channels, recordings_in
 from riecjax.records.reading.times import TIME_COLUMNS, listed
 from riecjax.records.reading.units import same, split_unit
@@ -61,8 +61,7 @@ class Recording(Drawn):
     @property
     def name(self) -> str:
         """What messages and tables call it: its file's name, and which part of it."""
-        file = Path(self.source).name or "the record"
-        return printable(", ".join(filter(None, (file, self.part))))
+        return _name(self.source, self.part)
 
     def split(self, share: float) -> tuple["Recording", "Recording"]:
         """Hold out the last `share` of its samples; see [`split`][riecjax.split].
@@ -148,11 +147,10 @@ def only_recording(
     """
     parts = _held(path, settings.part or ", ".join(settings.parts), settings)
     if len(parts.held) > 1:
-        with _explaining(str(path), {}, {}):
-            raise DataError(
-                f"it holds {len(parts.held)} recordings: {listed(parts.held)}; read all of them "
-                f"with rx.read_recordings, or {CHOOSE}."
-            )
+        raise DataError(
+            f"{Path(path).name}: it holds {len(parts.held)} recordings: {listed(parts.held)}; read "
+            f"all of them with rx.read_recordings, or {CHOOSE}."
+        )
     return _recordings(path, parts, settings, aligning)[0]
 
 
@@ -274,17 +272,12 @@ def _recording(
             if n not in read and (why := _why_absent(left_out, n))
         ),
     ]
+    sizes = sorted({values.size for values in channels.columns.values()})
+    rows = " to ".join(map(str, dict.fromkeys((sizes[0], sizes[-1]))))
     read_steps = [
-        _rows_read(channels),
+        f"{rows} rows of {len(channels.columns)} columns of numbers read",
         *channels.notes,
-        *selected.notes,
-        *(f"{name}: column scaled by {by:g}" for name, by in settings.scale.items()),
-        *(
-            f"{n}: {old} to {selected.record.signal(n).unit}"
-            for n, old in selected.converted.items()
-        ),
-        *(f"resampled to {hertz:g} Hz" for hertz in filter(None, [settings.resample])),
-        *(f"{name}: {formula}" for name, formula in settings.derive.items()),
+        *selected.steps,
         *_gaps(selected.record),
         *(*first_steps, *found, *aligned.words, *last_steps),
     ]
@@ -304,13 +297,6 @@ def _recording(
         tuple(n for n in record.arrays if n not in read or n in settings.derive),
         () if aligned.words or last_steps else aligned.holding,
     )
-
-
-def _rows_read(channels: Channels) -> str:
-    """How much a file holds, in words."""
-    sizes = sorted({values.size for values in channels.columns.values()})
-    rows = " to ".join(map(str, dict.fromkeys((sizes[0], sizes[-1]))))
-    return f"{rows} rows of {len(channels.columns)} columns of numbers read"
 
 
 def _gaps(record: Record) -> Iterator[str]:
@@ -339,21 +325,22 @@ def _explaining(
     except DataError as error:
         if not source:
             raise
-        message = str(error)
+        said = ""
         if isinstance(error, MissingSignalError):
-            there = ", ".join(error.available) or "none"
-            if taken := [new for new, column in renamed.items() if column == error.signal]:
-                message = (
-                    f"there is no signal '{error.signal}': its column was renamed to '{taken[0]}' "
-                    f"(--map {taken[0]}={error.signal}); there are: {there}."
+            name, there = error.signal, ", ".join(error.available) or "none"
+            if taken := [new for new, column in renamed.items() if column == name]:
+                said = (
+                    f"there is no signal '{name}': its column was renamed to '{taken[0]}' "
+                    f"(--map {taken[0]}={name}); there are: {there}."
                 )
-            elif why := _why_absent(left_out, error.signal):
-                message = (
-                    f"{why}, so that the record has no signal '{error.signal}'; it has: {there}."
-                )
-        name = printable(", ".join(filter(None, (Path(source).name, part))))
-        prefix = "" if message.startswith(f"{name}: ") else f"{name}: "
-        raise DataError(" ".join(printable(prefix + message).split())[:LONGEST_MESSAGE]) from None
+            elif why := _why_absent(left_out, name):
+                said = f"{why}, so that the record has no signal '{name}'; it has: {there}."
+        raise about(_name(source, part), error, said) from None
+
+
+def _name(source: str, part: str) -> str:
+    """What messages and tables call a recording: its file's name, and which part of it."""
+    return printable(", ".join(filter(None, (Path(source).name or "the record", part))))
 
 
 def common_steps(recordings: Sequence[Recording]) -> list[str]:

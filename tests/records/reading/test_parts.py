@@ -76,7 +76,7 @@ def test_a_broken_part_is_left_out_and_said(tmp_path):
 def sensors():
     """Channels of one recording whose names look like parts."""
     # Simulink's structures with time, one for each signal.
-    scopes = {f"{n}.{k}": TIME for n in ("X", "U") for k in ("time", "signals.values")}
+    scopes = {f"Scope{n}.{k}": TIME for n in (1, 2) for k in ("time", "signals.values")}
     yield Channels(scopes, nested=True)
     # Two sensors of other rates in one test.
     yield Channels(

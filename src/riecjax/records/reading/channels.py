@@ -135,6 +135,11 @@ class Channels:
         name, unit = split_unit(column, self.nested)
         return name, self.units.get(column) or unit
 
+    @property
+    def short(self) -> dict[str, str]:
+        """Columns to their names without units."""
+        return {column: self.named(column)[0] for column in self.columns}
+
     def take(self, name: str, values: np.ndarray | None, unit: str = "", why: str = "") -> None:
         """Add a column, in its unit where it has one; leave out what is none, with the reason."""
         if values is None:
@@ -301,17 +306,10 @@ def read_npz(file: Path) -> Channels:
         names = [member.filename.removesuffix(".npy") for member in members]
         size = sum(member.file_size for member in members)
         check_declared(0, size, file.stat().st_size, names)
-        made = 0
-        for member in members:
-            with archive.open(member) as stream:
-                shape, _, dtype = _header(stream)
-            is_table = sum(side > 1 for side in shape) <= 2
-            made += 8 * math.prod(shape) * max(len(dtype.names or ()), 1) * is_table
-        check_declared(unpacked=made)
-        require_memory("reading its arrays", 2 * made, "Read a part of the file.")
         arrays: dict[str, np.ndarray] = {}
         left_out = {}
         for name, member in zip(names, members):
+            require_memory("reading its arrays", 2 * member.file_size, "Read a part of the file.")
             with archive.open(member) as stream:
                 array = read_array(stream, member.file_size)
             if array is None:
@@ -321,6 +319,8 @@ def read_npz(file: Path) -> Channels:
                 inner = {field: array[field] for field in fields} if fields else {name: array}
                 check_declared(names=[*arrays, *inner])
                 arrays |= inner
+    tables = (8 * a.size for a in arrays.values() if sum(side > 1 for side in a.shape) <= 2)
+    require_memory("reading its arrays", sum(tables), "Read a part of the file.")
     found = vectors(arrays)
     found.left_out.update(left_out)
     return found
@@ -384,54 +384,47 @@ def read_channels(
 
     **Raises:** `DataError` if the file cannot be read.
     """
-    file = Path(path)
+    file, suffix = Path(path), Path(path).suffix.lower()
+    # A tab as it can be typed.
+    delimiter = "\t" if delimiter == "\\t" else delimiter
+    given = {"delimiter": delimiter, "decimal": decimal, "columns": columns}
     try:
         # A folder is read by a file in it.
         readers = extension_names("readers") if file.is_dir() else ()
         inside = [member for member in readers if (file / member).is_file()]
-        name = inside[0] if inside else file.suffix.lower()
-        if name in READERS:
-            module, function = READERS[name].split(".")
+        if suffix in READERS and not inside:
+            module, function = READERS[suffix].split(".")
             source = importlib.import_module(f"riecjax.records.reading.{module}")
             reader: Any = getattr(source, function)
         else:
-            reader = extension("readers", name.removeprefix("."))
+            reader = extension("readers", inside[0] if inside else suffix.removeprefix("."))
         if reader is None:
-            listed = ", ".join(endings())
-            raise DataError(
-                f"cannot read '{file.name or file}': its ending must be one of {listed}."
-            )
+            allowed = f"its ending must be one of {', '.join(endings())}"
+            raise DataError(f"cannot read '{file.name or file}': {allowed}.")
         if not inside and not file.is_file():
             raise DataError(no_file(file))
-        if size_of(file) > LARGEST_FILE:
-            raise DataError(f"{file.name}: larger than {LARGEST_FILE} bytes.")
-        takes = inspect.signature(reader).parameters
-        # A tab as it can be typed.
-        delimiter = "\t" if delimiter == "\\t" else delimiter
-        given = {"delimiter": delimiter, "decimal": decimal, "columns": columns}
-        if needless := [name for name, value in given.items() if value and name not in takes]:
-            kinds = "text files" + " and spreadsheets" * (needless[0] != "delimiter")
-            raise DataError(f"{file.name}: '{needless[0]}' is for {kinds}.")
-        if decimal not in (None, ".", ","):
-            raise DataError(f"{file.name}: the decimal sign must be '.' or ','; got {decimal!r}.")
-        if delimiter is not None and (
-            len(delimiter) != 1 or delimiter in '"\r\n' or not delimiter.isascii()
-        ):
-            raise DataError(f"{file.name}: the delimiter must be one character; got {delimiter!r}.")
-        dialect = {name: value for name, value in given.items() if name in takes}
-        require_memory(
-            f"reading {file.name}", MEMORY_PER_BYTE * size_of(file), "Read a part of the file."
-        )
     except OSError as error:  # of a name that is too long
         raise DataError(printable(f"cannot read '{file.name[:60]}': {error.strerror}.")) from None
     try:
-        channels = reader(file, **dialect)
+        if size_of(file) > LARGEST_FILE:
+            raise DataError(f"larger than {LARGEST_FILE} bytes.")
+        takes = inspect.signature(reader).parameters
+        if needless := [name for name, value in given.items() if value and name not in takes]:
+            kinds = "text files" + " and spreadsheets" * (needless[0] != "delimiter")
+            raise DataError(f"'{needless[0]}' is for {kinds}.")
+        if decimal not in (None, ".", ","):
+            raise DataError(f"the decimal sign must be '.' or ','; got {decimal!r}.")
+        if not re.fullmatch('[^"\r\n\x80-\U0010ffff]', delimiter or ","):
+            raise DataError(f"the delimiter must be one character; got {delimiter!r}.")
+        memory = MEMORY_PER_BYTE * size_of(file)
+        require_memory(f"reading {file.name}", memory, "Read a part of the file.")
+        channels = reader(file, **{name: value for name, value in given.items() if name in takes})
         require("what its reader returned", channels, Channels, "a reader that returns Channels")
         for name, samples in channels.columns.items():
             if getattr(samples, "ndim", 0) != 1 or samples.dtype != float:
+                kind = type(samples).__name__
                 raise DataError(
-                    f"its reader gave column '{name}' as {type(samples).__name__}, not as a vector "
-                    f"of 64-bit floats."
+                    f"its reader gave column '{name}' as {kind}, not as a vector of 64-bit floats."
                 )
         # Nothing in names and words may steer a terminal.
         check_declared(names=map(printable, channels.columns))
@@ -442,15 +435,17 @@ def read_channels(
             notes=list(map(printable, channels.notes)),
             parts=list(map(printable, channels.parts)),
         )
-    except RiecjaxError as error:
-        raise _about(file, error) from None
-    except OSError as error:
-        raise _about(file, DataError(f"cannot be read: {error.strerror or error}.")) from None
     except (Exception, SystemExit) as error:
-        if isinstance(error, MemoryError) or file.suffix.lower() in READERS:
-            raise
-        # Of a reader from elsewhere anything may come.
-        raise _about(file, DataError(f"its reader failed: {first_sentence(error)}")) from error
+        said = ""
+        if isinstance(error, OSError):
+            said = f"cannot be read: {error.strerror or error}."
+        elif not isinstance(error, RiecjaxError):
+            # Of a reader from elsewhere anything may come.
+            if isinstance(error, MemoryError) or suffix in READERS:
+                raise
+            said = f"its reader failed: {first_sentence(error)}"
+        cause = None if isinstance(error, RiecjaxError) else error
+        raise about(file.name, error, said) from cause
 
 
 def endings() -> tuple[str, ...]:
@@ -459,7 +454,11 @@ def endings() -> tuple[str, ...]:
     return tuple(dict.fromkeys((*READERS, *further)))
 
 
-def _about(file: Path, error: RiecjaxError) -> RiecjaxError:
-    """The same error in one line that begins with the file's name."""
-    kind = type(error) if type(error).__init__ is RiecjaxError.__init__ else DataError
-    return kind(printable(" ".join(f"{file.name}: {error}".split()))[:LONGEST_MESSAGE])
+def about(name: str, error: BaseException, said: str = "") -> RiecjaxError:
+    """The same error in one line that begins with a file's name; `said` instead of its words."""
+    said = said or str(error)
+    prefix = "" if said.startswith(f"{name}: ") else f"{name}: "
+    kind = type(error) if isinstance(error, RiecjaxError) else DataError
+    # An error that takes more than words says them anew.
+    kind = kind if kind.__init__ is RiecjaxError.__init__ else DataError
+    return kind(" ".join(printable(prefix + said).split())[:LONGEST_MESSAGE])

@@ -13,6 +13,7 @@ import importlib
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -77,7 +78,16 @@ def _answer(
         began, answered = time.monotonic(), False
         try:
             if answered := _readers[0].answers(question, limit):
-                return _handed_over(_readers[0].out)
+                # Arrays and words alone, as nothing that a damaged or hostile file makes of that
+                # process is run here.
+                with np.load(_readers[0].out) as arrays:
+                    described = json.loads(arrays["described"].tobytes())
+                    if "error" in described:
+                        raise DataError(described["error"])
+                    if "memory" in described:
+                        raise MemoryError(described["memory"])
+                    names = enumerate(described.pop("columns"))
+                    return Channels({name: arrays[str(i)] for i, name in names}, **described)
         finally:
             if not answered:
                 _end()
@@ -86,19 +96,6 @@ def _answer(
     else:
         why = f"reading it took longer than {limit:.0f} s"
     raise DataError(f"not a readable {kind} file: {why}.")
-
-
-def _handed_over(archive: Path) -> Channels:
-    """What the reading process wrote: arrays and words alone, as nothing that a damaged or hostile
-    file makes of that process is run here."""
-    with np.load(archive) as arrays:
-        described = json.loads(arrays["described"].tobytes())
-        if "error" in described:
-            raise DataError(described["error"])
-        if "memory" in described:
-            raise MemoryError(described["memory"])
-        names = enumerate(described.pop("columns"))
-        return Channels({name: arrays[str(i)] for i, name in names}, **described)
 
 
 class _Reader:
@@ -183,13 +180,9 @@ def _serve(folder: str) -> None:
     try:
         for line in sys.stdin.buffer:
             module, function, file, (arguments, named), kind, is_trusted, limit = json.loads(line)
-            # Ends a loop that the parent cannot, having been killed itself; threads count together.
-            with contextlib.suppress(ImportError, ValueError, OSError):
-                import resource
-
-                seconds = int(time.process_time() + limit * (1 + (os.cpu_count() or 1))) + 1
-                _, most = resource.getrlimit(resource.RLIMIT_CPU)
-                resource.setrlimit(resource.RLIMIT_CPU, (seconds, most))
+            # Ends a loop that the parent cannot, having been killed itself.
+            if sys.platform != "win32":
+                signal.alarm(int(limit) + 2)
             columns: dict[str, Any] = {}
             try:
                 read = getattr(importlib.import_module(module), function).__wrapped__
@@ -204,6 +197,8 @@ def _serve(folder: str) -> None:
             written = np.frombuffer(json.dumps(described).encode(), np.uint8)
             np.savez(Path(folder) / "channels.npz", described=written, **columns)
             os.write(answers, b"\n")
+            if sys.platform != "win32":
+                signal.alarm(0)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

@@ -42,9 +42,9 @@ def read_json_lines(file: Path) -> Channels:
 def read_json(file: Path) -> Channels:
     """Read one JSON document: an array of objects, or an object of arrays, perhaps in others.
 
-    Rows may be arrays below one of names; pandas' forms `split` and `columns` are read as well, and
-    lines of objects. Names as in [`read_json_lines`][], below the object in which all arrays lie. A
-    `unit` beside an array is its unit. Single values are scalars.
+    What pandas writes of a frame by itself is read as well, and lines of objects. Names as in
+    [`read_json_lines`][], below the object in which all arrays lie. A `unit` beside an array is its
+    unit. Single values are scalars.
 
     **Raises:** `DataError` for damaged files.
     """
@@ -56,28 +56,17 @@ def read_json(file: Path) -> Channels:
         if error.msg != "Extra data" or error.lineno != 2:
             raise
         return read_json_lines(file)
-    tables = dict(_tables("", _as_rows(document)))
+    tables = dict(_tables("", _as_arrays(document)))
     return _channels(tables, {n: v for n, v in _leaves("", document) if isinstance(v, str)})
 
 
-def _as_rows(document: Any) -> Any:
-    """A document with its rows as objects, where their names stand apart."""
-    if isinstance(document, dict) and {"columns", "data"} <= document.keys():
-        names, rows = document["columns"], document["data"]
-        return [dict(zip(names, row, strict=True)) for row in rows]
-    # Single values by their row, as pandas writes a column.
+def _as_arrays(document: Any) -> Any:
+    """A document with arrays for objects of rows by their number, as pandas writes a frame."""
     if isinstance(document, dict) and all(
-        isinstance(series, dict)
-        and len(series) > 2
-        and not any(isinstance(value, dict | list) for value in series.values())
-        and list(series) == list(map(str, range(len(series))))
+        isinstance(series, dict) and list(series) == list(map(str, range(max(len(series), 3))))
         for series in document.values()
     ):
         return {name: list(series.values()) for name, series in document.items()}
-    if isinstance(document, list) and len(document) > 2 and isinstance(document[0], list):
-        names, *rows = document
-        if all(isinstance(name, str) for name in names) and not isinstance(rows[0][0], list):
-            return [dict(zip(names, row, strict=True)) for row in rows]
     return document
 
 
