@@ -151,7 +151,7 @@ class LinearOp:
                     f"no stretch of '{sources[name]}' without a gap is long enough for a step of "
                     f"preparation ({op.words.format(name)}): it takes {op.shortest} samples, and "
                     f"the longest has {longest_stretch(record, sources[name])}. Repair the gaps, "
-                    f"or change or leave out this step."
+                    f"change or leave out this step, or record for longer."
                 )
             known = signals[name]
             noise = op.noise(known.noise) if op.noise and known.noise else known.noise

@@ -80,7 +80,7 @@ def time_base(stamps: np.ndarray) -> TimeBase:
             rounded = _grid_of_decimals(stamps, np.zeros(0, dtype=int))
         if rounded is not None:
             return rounded
-        raise _not_rising(stamps, steps)
+        raise not_rising(stamps, steps)
     # The median alone would be the rounded step of rounded stamps (0.01 or 0.02 for 0.0167); the
     # mean of all steps that are no pauses telescopes, and so has the rounding of two stamps only.
     usual = float(np.mean(steps[steps <= SHORTEST_PAUSE * np.median(steps)]))
@@ -124,7 +124,7 @@ def time_base(stamps: np.ndarray) -> TimeBase:
     return TimeBase(step, pauses)
 
 
-def _not_rising(stamps: np.ndarray, steps: np.ndarray) -> StampError:
+def not_rising(stamps: np.ndarray, steps: np.ndarray) -> StampError:
     """Why stamps do not increase: stamps too coarse for the rate, rows out of order, or two runs.
 
     To sort two runs would mix them.

@@ -198,7 +198,7 @@ def test_short_stretches_of_samples_on_the_grid_stay_and_others_go():
 def test_time_must_increase(wrong):
     time = sampled(100.0, 1.0)
     time[6] = wrong
-    match = "time of channel 'b' must increase.*at sample 6 it goes from 0.05 to"
+    match = "channel 'b': time must increase.*at sample 6 it goes from 0.05 to"
     with pytest.raises(rx.DataError, match=match):
         on_grid({"a": (time[:5], time[:5]), "b": (time, time)}, 100.0)
 

@@ -148,25 +148,20 @@ def duplicates(recordings: Sequence[NamedRecord]) -> list[Finding]:
     columns = [{k: np.asarray(v) for k, v in one.record.arrays.items()} for one in recordings]
     found: dict[tuple[int, int], Finding] = {}
     for name in sorted({name for each in columns for name in each}):
-        for first, second, shift in _candidates([each.get(name, NONE) for each in columns]):
+        for *pair, shift in _candidates([each.get(name, NONE) for each in columns]):
+            first, second = pair
             common = columns[first].keys() & columns[second].keys()
-            one, other = ({n: columns[k][n] for n in common} for k in (first, second))
+            both = [{n: columns[k][n] for n in common} for k in pair]
             starts = max(shift, 0), max(-shift, 0)
-            if (first, second) in found or not (rows := _rows_in_common(one, other, starts)):
+            if (first, second) in found or not (rows := _rows_in_common(both, starts)):
                 continue
-            one, other = recordings[first], recordings[second]
-            counts, step = [r.record.sample_count for r in (one, other)], one.record.time_step
-            shorter, longer = (other, one) if counts[1] <= counts[0] else (one, other)
-            what = (
-                f"all of {shorter.name} lies in {longer.name}"
-                if rows >= min(counts)
-                else f"{rows * step:.4g} s of {other.name}, from {starts[1] * step:.4g} s on, are "
-                f"those of {one.name} from {starts[0] * step:.4g} s on"
-            )
+            one, other = (recordings[k] for k in pair)
+            step = one.record.time_step
             found[first, second] = Finding(
                 "duplicate_recording",
-                f"{what}, sample by sample: a copy tells nothing new, and makes intervals up to "
-                f"1.4 times too narrow.",
+                f"{rows * step:.4g} s of {other.name}, from {starts[1] * step:.4g} s on, are those "
+                f"of {one.name} from {starts[0] * step:.4g} s on, sample by sample: a copy tells "
+                f"nothing new, and makes intervals up to 1.4 times too narrow.",
             )
     return [found[pair] for pair in sorted(found)]
 
@@ -208,23 +203,15 @@ def _candidates(columns: Sequence[Samples]) -> Iterator[tuple[int, int, int]]:
             yield first, second, shift
 
 
-def _rows_in_common(
-    first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray], starts: tuple[int, int]
-) -> int:
+def _rows_in_common(both: Sequence[Mapping[str, np.ndarray]], starts: tuple[int, int]) -> int:
     """How many rows two recordings have in common from these rows on; 0 if they do not agree."""
-    sizes = [next(iter(columns.values())).size for columns in (first, second)]
-    rows = min(sizes[0] - starts[0], sizes[1] - starts[1])
-    short = second if sizes[1] <= sizes[0] else first
+    sizes = [next(iter(columns.values())).size for columns in both]
+    rows = min(size - start for size, start in zip(sizes, starts))
+    short = both[int(sizes[1] <= sizes[0])]
     near = {name: ROUNDED * spread_of(v) for name, v in short.items() if np.ptp(v) > 0}
-
-    def agree(name: str) -> bool:
-        one, other = (
-            columns[name][start : start + rows] for columns, start in zip((first, second), starts)
-        )
-        return bool(np.mean(np.abs(one - other) <= near[name]) >= ALIKE)
-
-    enough = near and rows >= max(LEAST * min(sizes), FEWEST)
-    return rows if enough and all(map(agree, near)) else 0
+    off = {n: np.subtract(*(c[n][a : a + rows] for c, a in zip(both, starts))) for n in near}
+    alike = all(np.mean(np.abs(off[name]) <= near[name]) >= ALIKE for name in near)
+    return rows if near and alike and rows >= max(LEAST * min(sizes), FEWEST) else 0
 
 
 @fault(
@@ -302,19 +289,20 @@ def cut_rows(record: Record, signal: str, derivative: str) -> Finding | None:
         return None
     place = int(np.argmax(np.where(sure, np.abs(short), 0.0)))
     jump, time = float(short[place]), np.asarray(record.elapsed)
-    lasts = place < x.size / 2
+    option, kept, off, gone = (
+        ("--from", "from there on", 2, "before")
+        if place < x.size / 2
+        else ("--to", "up to there", -2, "behind")
+    )
     return Finding(
         "lost_rows",
         f"{signal} jumps by {jump * size:.3g} at {time[place]:.7g} s, which the integral of "
         f"{derivative} does not follow, and goes on as before: rows of all signals are gone there, "
-        f"and time was numbered anew. Use the record {'from there on' if lasts else 'up to there'},"
-        f" or mark the gap in its time.",
+        f"and time was numbered anew. Use the record {kept}, or mark the gap in its time.",
         (signal, derivative),
         doubt=min(abs(jump), 1.0),
-        remedy=("--from", f"{time[place + 2]:.7g}")
-        if lasts
-        else ("--to", f"{time[place - 2]:.7g}"),
-        step=f"Leave out what is {'before' if lasts else 'behind'} the jump",
+        remedy=(option, f"{time[place + off]:.7g}"),
+        step=f"Leave out what is {gone} the jump",
     )
 
 
