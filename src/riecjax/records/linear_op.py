@@ -60,26 +60,21 @@ class LinearOp:
 
         Noise goes through the same sums.
         """
+        last = first + taps.size - 1
+        lost = max(-first, 0), max(last, 0)
 
         def sums(samples: Samples, *_: Any) -> Samples:
-            valid = np.convolve(samples, taps[::-1], "valid")
-            places = np.arange(valid.size) - first
-            there = (places >= 0) & (places < samples.size)
-            made = np.full(samples.size, np.nan)
-            made[places[there]] = valid[there]
-            return made
-
-        last = first + taps.size - 1
+            padded = np.pad(samples, lost, constant_values=np.nan)
+            return np.convolve(padded, taps[::-1], "valid")[max(first, 0) :][: samples.size]
 
         # The middle tap of a kernel is for the same sample.
-        reach = max(-first, last, 0)
-        room = reach - last, reach + first
+        room = max(lost) - last, max(lost) + first
         fields = {
             "noise": lambda noise: noise.convolved(np.pad(taps[::-1], room)),
             "shortest": taps.size,
             **fields,
         }
-        return cls.of_stretches(words, sums, lost=(max(-first, 0), max(last, 0)), **fields)
+        return cls.of_stretches(words, sums, lost=lost, **fields)
 
     @classmethod
     def of_stretches(

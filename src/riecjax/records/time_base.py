@@ -76,11 +76,11 @@ def time_base(stamps: np.ndarray) -> TimeBase:
     if (steps <= 0).any():
         # Rounding keeps the order.
         rounded = _rounded_grid(stamps) if (steps >= 0).all() else None
-        if rounded is None and FEWEST_ODD <= (steps == 0).sum() <= COARSE * steps.size:
-            rounded = _grid_of_decimals(stamps, np.zeros(0, dtype=int))
-        if rounded is not None:
-            return rounded
-        raise not_rising(stamps, steps)
+        if FEWEST_ODD <= (steps == 0).sum() <= COARSE * steps.size:
+            rounded = rounded or _grid_of_decimals(stamps, np.zeros(0, dtype=int))
+        if rounded is None:
+            raise not_rising(stamps, steps)
+        return rounded
     # The median alone would be the rounded step of rounded stamps (0.01 or 0.02 for 0.0167); the
     # mean of all steps that are no pauses telescopes, and so has the rounding of two stamps only.
     usual = float(np.mean(steps[steps <= SHORTEST_PAUSE * np.median(steps)]))

@@ -308,8 +308,7 @@ def cut_rows(record: Record, signal: str, derivative: str) -> Finding | None:
 
 def _jumps(values: np.ndarray, side: int) -> np.ndarray:
     """At each sample, the line through those from it on less that through those before, midway."""
-    at = np.arange(side) + 0.5
     # Weights whose sum with values on a straight line is that line's value at 0.
-    weights = 1 / side - np.mean(at) * (at - np.mean(at)) / np.sum((at - np.mean(at)) ** 2)
+    weights = np.linalg.pinv(np.vander(np.arange(side) + 0.5, 2))[1]
     inner = np.convolve(values, np.concatenate([weights[::-1], -weights]), "valid")
     return np.pad(inner, (side, side - 1), constant_values=np.nan)
