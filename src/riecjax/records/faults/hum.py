@@ -84,9 +84,8 @@ class Spectrum(NamedTuple):
         if low < LOBE + 2 or high > self.power.size - 2 - LOBE:
             return None
         peak = low + int(np.argmax(self.power[low : high + 1]))
-        if self.power[peak] < max(self.power[[peak - 1, peak + 1]]):
-            return None
-        if self.chance[peak] * (high - low + 1) > chance:
+        is_chance = self.chance[peak] * (high - low + 1) > chance
+        if is_chance or self.power[peak] < max(self.power[[peak - 1, peak + 1]]):
             return None
         # No other line is around, but harmonics that sampling folds beside this one.
         own = LOBE + int(HARMONICS * tolerance / self.resolution)
@@ -139,9 +138,8 @@ def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
 
 def lines_of(spectrum: Spectrum, grid: float) -> list[Line]:
     """The lines of a grid that stand out."""
-    harmonics = grid * np.arange(1, HARMONICS + 1)
-    lines = (spectrum.line(frequency, BY_CHANCE / HARMONICS) for frequency in harmonics)
-    return [line for line in lines if line is not None]
+    lines = (spectrum.line(grid * k, BY_CHANCE / HARMONICS) for k in range(1, HARMONICS + 1))
+    return [line for line in lines if line]
 
 
 @fault(

@@ -74,11 +74,7 @@ def row_keys(columns: Sequence[Samples], block: int = 1) -> Float[np.ndarray, " 
     Of sums with random weights two that should differ are the same once in 1e16.
     """
     weights = np.random.default_rng(0).uniform(1, 2, len(columns) + block)
-    rows = np.zeros(len(columns[0]))
-    for column, weight in zip(columns, weights):
-        rows += weight * column
-    if block == 1:
-        return rows
+    rows = sum((w * column for column, w in zip(columns, weights)), np.zeros(len(columns[0])))
     count = max(rows.size - block + 1, 0)
     shifted = (weight * rows[k : k + count] for k, weight in enumerate(weights[len(columns) :]))
     return sum(shifted, np.zeros(count))
@@ -148,16 +144,16 @@ def duplicates(recordings: Sequence[NamedRecord]) -> list[Finding]:
     columns = [{k: np.asarray(v) for k, v in one.record.arrays.items()} for one in recordings]
     found: dict[tuple[int, int], Finding] = {}
     for name in sorted({name for each in columns for name in each}):
-        for *pair, shift in _candidates([each.get(name, NONE) for each in columns]):
-            first, second = pair
-            common = columns[first].keys() & columns[second].keys()
+        candidates = _candidates([each.get(name, NONE) for each in columns])
+        for pair, shift in candidates.items():
+            common = columns[pair[0]].keys() & columns[pair[1]].keys()
             both = [{n: columns[k][n] for n in common} for k in pair]
             starts = max(shift, 0), max(-shift, 0)
-            if (first, second) in found or not (rows := _rows_in_common(both, starts)):
+            if pair in found or not (rows := _rows_in_common(both, starts)):
                 continue
             one, other = (recordings[k] for k in pair)
             step = one.record.time_step
-            found[first, second] = Finding(
+            found[pair] = Finding(
                 "duplicate_recording",
                 f"{rows * step:.4g} s of {other.name}, from {starts[1] * step:.4g} s on, are those "
                 f"of {one.name} from {starts[0] * step:.4g} s on, sample by sample: a copy tells "
@@ -177,7 +173,7 @@ def refuse_duplicates(recordings: Sequence[NamedRecord]) -> None:
         )
 
 
-def _candidates(columns: Sequence[Samples]) -> Iterator[tuple[int, int, int]]:
+def _candidates(columns: Sequence[Samples]) -> dict[tuple[int, int], int]:
     """Pairs of columns with blocks in common, and by how many rows later the first has them.
 
     Samples are rounded to 16 times what rounding may have parted them by, so that most blocks of
@@ -196,11 +192,8 @@ def _candidates(columns: Sequence[Samples]) -> Iterator[tuple[int, int, int]]:
     same = np.flatnonzero(np.isfinite(key[1:]) & (key[1:] == key[:-1]))
     offsets = np.stack([owner[same], owner[same + 1], place[same] - place[same + 1]])
     pairs, votes = np.unique(offsets, axis=1, return_counts=True)
-    tried: set[tuple[int, int]] = set()
-    for first, second, shift in pairs[:, np.argsort(-votes, kind="stable")].T.tolist():
-        if (first, second) not in tried:
-            tried.add((first, second))
-            yield first, second, shift
+    rising = pairs[:, np.argsort(-votes, kind="stable")[::-1]].T.tolist()
+    return {(first, second): shift for first, second, shift in rising}
 
 
 def _rows_in_common(both: Sequence[Mapping[str, np.ndarray]], starts: tuple[int, int]) -> int:
