@@ -62,7 +62,7 @@ RECORDS = {
     "uneven": (jittered, (), ("evenly spaced", "--resample HZ")),
     "one sample": (part(slice(1)), (), ("at least two samples",)),
     "fewer samples than a window": (part(slice(40)), (), ("bad.csv", "beta = 0.5 s", "0.195 s")),
-    "15 samples filtered": (part(slice(15)), FEW, ("too short to be filtered",)),
+    "15 samples filtered": (part(slice(15)), FEW, ("long enough for a step",)),
 }  # fmt: skip
 
 

@@ -52,7 +52,7 @@ WRONG = {
         "--map x2=x1": (1, "no signal 'x1'"),
         "--scale t=-1": (1, "time must increase"),
         "--low-pass x1=100": (1, "half the sampling rate, 100 Hz"),
-        "--low-pass x1=1": (1, "too short to be filtered"),
+        "--low-pass x1=1": (1, "long enough for a step"),
         "--every 1000": (1, "too few would remain"),
         "--seed 99999999999999999999": (2, "'--seed'"),
         "--noise z=1": (1, "there is no such signal; there are: "),

@@ -60,26 +60,21 @@ class LinearOp:
 
         Noise goes through the same sums.
         """
+        last = first + taps.size - 1
+        lost = max(-first, 0), max(last, 0)
 
         def sums(samples: Samples, *_: Any) -> Samples:
-            valid = np.convolve(samples, taps[::-1], "valid")
-            places = np.arange(valid.size) - first
-            there = (places >= 0) & (places < samples.size)
-            made = np.full(samples.size, np.nan)
-            made[places[there]] = valid[there]
-            return made
-
-        last = first + taps.size - 1
+            padded = np.pad(samples, lost, constant_values=np.nan)
+            return np.convolve(padded, taps[::-1], "valid")[max(first, 0) :][: samples.size]
 
         # The middle tap of a kernel is for the same sample.
-        reach = max(-first, last, 0)
-        room = reach - last, reach + first
+        room = max(lost) - last, max(lost) + first
         fields = {
             "noise": lambda noise: noise.convolved(np.pad(taps[::-1], room)),
             "shortest": taps.size,
             **fields,
         }
-        return cls.of_stretches(words, sums, lost=(max(-first, 0), max(last, 0)), **fields)
+        return cls.of_stretches(words, sums, lost=lost, **fields)
 
     @classmethod
     def of_stretches(
@@ -151,7 +146,7 @@ class LinearOp:
                     f"no stretch of '{sources[name]}' without a gap is long enough for a step of "
                     f"preparation ({op.words.format(name)}): it takes {op.shortest} samples, and "
                     f"the longest has {longest_stretch(record, sources[name])}. Repair the gaps, "
-                    f"or change or leave out this step."
+                    f"change or leave out this step, or record for longer."
                 )
             known = signals[name]
             noise = op.noise(known.noise) if op.noise and known.noise else known.noise

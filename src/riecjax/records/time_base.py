@@ -23,9 +23,6 @@ PPM = 1e-6
 """A millionth of time, by which clocks are set."""
 COARSE = 0.3
 """Share of rows that repeat a stamp from which stamps are coarse, and not some rows repeated."""
-HOUR = 3600.0
-EPOCH = 1e9
-"""Seconds since 1970 in 2001: no clock of a record that starts at 0 gets there."""
 FEWEST_DIGITS, MOST_DIGITS = 4, 9
 """Significant digits that a logger may round its stamps to."""
 FEWEST_ODD = 10
@@ -79,11 +76,11 @@ def time_base(stamps: np.ndarray) -> TimeBase:
     if (steps <= 0).any():
         # Rounding keeps the order.
         rounded = _rounded_grid(stamps) if (steps >= 0).all() else None
-        if rounded is None and FEWEST_ODD <= (steps == 0).sum() <= COARSE * steps.size:
-            rounded = _grid_of_decimals(stamps, np.zeros(0, dtype=int))
-        if rounded is not None:
-            return rounded
-        raise _not_rising(stamps, steps)
+        if FEWEST_ODD <= (steps == 0).sum() <= COARSE * steps.size:
+            rounded = rounded or _grid_of_decimals(stamps, np.zeros(0, dtype=int))
+        if rounded is None:
+            raise not_rising(stamps, steps)
+        return rounded
     # The median alone would be the rounded step of rounded stamps (0.01 or 0.02 for 0.0167); the
     # mean of all steps that are no pauses telescopes, and so has the rounding of two stamps only.
     usual = float(np.mean(steps[steps <= SHORTEST_PAUSE * np.median(steps)]))
@@ -127,65 +124,39 @@ def time_base(stamps: np.ndarray) -> TimeBase:
     return TimeBase(step, pauses)
 
 
-def _not_rising(stamps: np.ndarray, steps: np.ndarray) -> StampError:
-    """Why stamps do not increase: rows out of order, or stamps too coarse for the rate."""
-    first, standing = int(np.argmax(steps <= 0)) + 1, float(np.mean(steps == 0))
-    if (steps >= 0).all() and standing > COARSE and stamps[-1] > stamps[0]:
-        counts = np.unique(stamps, return_counts=True)[1]
-        repeated = int(counts[0])
-        if counts.size > 2 and (counts == repeated).all() and repeated <= FEWEST_ODD:
-            return StampError(
-                f"each of its stamps stands in {repeated} rows. If these are copies, or rows of "
-                f"{repeated} signals, write the file anew with one row for each time; if they are "
-                f"samples in turn, give the seconds between them (--time-step, about "
-                f"{(stamps[-1] - stamps[0]) / (stamps.size - repeated):.3g} here)."
-            )
-        narrow = np.array_equal(stamps, stamps.astype(np.float32).astype(float))
-        size = float(np.min(steps[steps > 0]))
-        why = "they were stored in 32-bit, which" if narrow and size > 1 else "they"
-        return StampError(
-            f"its stamps are too coarse for the samples: {why} advance by {size:g} s at a time, "
-            f"and {standing:.0%} of rows repeat the stamp before. Give the seconds between samples "
-            f"(--time-step, about {(stamps[-1] - stamps[0]) / (stamps.size - 1):.3g} here)."
-        )
-    # All one number that an epoch's seconds round to in 32-bit.
-    if (stamps == stamps[0]).all() and stamps[0] == np.float32(stamps[0]) > EPOCH:
-        return StampError(
-            f"all its stamps are {stamps[0]:.15g}: seconds since 1970 stored in 32-bit, which has "
-            f"steps of {np.spacing(np.float32(stamps[0])):g} s there. Give the seconds between "
-            f"samples (--time-step)."
-        )
-    return StampError(
-        f"time must increase from sample to sample; at sample {first} it goes from "
-        f"{stamps[first - 1]:.15g} to {stamps[first]:.15g} s. {_remedy(steps)}"
-    )
+def not_rising(stamps: np.ndarray, steps: np.ndarray) -> StampError:
+    """Why stamps do not increase: stamps too coarse for the rate, rows out of order, or two runs.
 
-
-def _remedy(steps: np.ndarray) -> str:
-    """What to do about stamps that do not increase: to sort two runs would mix them."""
-    usual = float(np.median(np.abs(steps)))
-    falls = np.flatnonzero(steps < 0)
+    To sort two runs would mix them.
+    """
+    standing, falls = float(np.mean(steps == 0)), np.flatnonzero(steps < 0)
+    if not falls.size and standing > COARSE:
+        spacing = np.spacing(np.float32(stamps[-1]))
+        narrow = spacing > 1 and _are_narrow(stamps)
+        why = f": stored in 32-bit, which has steps of {spacing:g} s there" if narrow else ""
+        mean = (stamps[-1] - stamps[0]) / steps.size
+        about = f", about {mean:.3g} here" if mean else ""
+        return StampError(
+            f"its stamps are too coarse for the samples: {standing:.0%} of rows repeat the stamp "
+            f"before{why}. Give the seconds between samples (--time-step{about}), or, if these "
+            f"rows are copies or of several signals, write one row for each time."
+        )
     # After a stamp that is wrong by itself, time leaps to where it was.
+    usual = float(np.median(np.abs(steps)))
     after = steps[np.minimum(falls + 1, steps.size - 1)]
     begins = falls.size and (steps[falls] < -10 * usual).all() and (after <= 2 * usual).all()
-    if falls.size == steps.size:
-        return "All stamps fall: turn the rows round if the newest stands first."
-    if begins and (np.abs(steps[falls] + HOUR) <= 2 * usual).all():
-        return (
-            "Local time goes back by an hour where summer time ends: log in UTC, or give the "
-            "seconds between samples (--time-step)."
-        )
-    if begins:
-        return (
-            "A second recording begins there, or the clock was set back: split the file there, or "
-            "give the seconds between samples (--time-step)."
-        )
-    if not falls.size and (steps == 0).sum() >= FEWEST_ODD:
-        return (
-            "If rows are repeated, remove them; if stamps are rounded, give the seconds between "
-            "samples (--time-step)."
-        )
-    return "Sort the record or remove repeated rows."
+    first = int(np.argmax(steps <= 0)) + 1
+    remedy = (
+        "A second recording begins there, or the clock was set back, as where summer time ends: "
+        "split the file there, or give the seconds between samples (--time-step)."
+        if begins
+        else "Sort the record or remove repeated rows; if stamps are rounded, give the seconds "
+        "between samples (--time-step)."
+    )
+    return StampError(
+        f"time must increase from sample to sample; at sample {first} it goes from "
+        f"{stamps[first - 1]:.15g} to {stamps[first]:.15g} s. {remedy}"
+    )
 
 
 def _grid_of_decimals(stamps: np.ndarray, pauses: np.ndarray) -> TimeBase | None:
@@ -232,9 +203,13 @@ def _distance_from_grid(stamps: np.ndarray, pauses: np.ndarray, step: float) -> 
 
 def _resolution(stamps: np.ndarray, below: float) -> float:
     """The digit or the 32-bit spacing that the stamps are rounded to; at least 64-bit's."""
-    narrow = np.array_equal(stamps, stamps.astype(np.float32).astype(float))
-    single = float(np.spacing(np.float32(np.max(np.abs(stamps))))) if narrow else 0.0
+    single = float(np.spacing(np.float32(np.max(np.abs(stamps))))) if _are_narrow(stamps) else 0.0
     return max(_finest(stamps), single, _digit(stamps, below))
+
+
+def _are_narrow(stamps: np.ndarray) -> bool:
+    """Whether all are numbers of 32 bits."""
+    return np.array_equal(stamps, stamps.astype(np.float32).astype(float))
 
 
 def _finest(stamps: np.ndarray) -> float:

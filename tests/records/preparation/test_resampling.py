@@ -194,11 +194,10 @@ def test_short_stretches_of_samples_on_the_grid_stay_and_others_go():
     np.testing.assert_array_equal(np.flatnonzero(~np.isnan(finer["a"][39:51])), [3, 7, 9])
 
 
-@pytest.mark.parametrize("wrong", [0.05, 0.03], ids=["repeated", "going back"])
-def test_time_must_increase(wrong):
+def test_time_must_increase():
     time = sampled(100.0, 1.0)
-    time[6] = wrong
-    match = "time of channel 'b' must increase.*at sample 6 it goes from 0.05 to"
+    time[6] = 0.03
+    match = "channel 'b': time must increase.*at sample 6 it goes from 0.05 to"
     with pytest.raises(rx.DataError, match=match):
         on_grid({"a": (time[:5], time[:5]), "b": (time, time)}, 100.0)
 

@@ -79,7 +79,7 @@ def test_stamps_stored_in_32_bit_are_said_to_be(tmp_path):
     since = (1.7e9 + T).astype(np.float32).astype(float)
     with pytest.raises(DataError, match=r"'timestamp': .*stored in 32-bit, which has steps of 128"):
         read(tmp_path, {"timestamp": since, "x": X})
-    with pytest.raises(DataError, match=r"advance by 1 s at a time.*--time-step, about 0\.00"):
+    with pytest.raises(DataError, match=r"too coarse.* repeat .*--time-step, about 0\.00"):
         read(tmp_path, {"timestamp": np.floor(1.7e9 + T), "x": X})
     recording = read(tmp_path, {"timestamp": since, "x": X}, time_step=STEP)
     assert set(recording.record.arrays) == {"x"}
@@ -175,12 +175,12 @@ def test_a_lost_row_is_a_pause_or_refused_but_no_grid():
 
 
 BACK = {
-    "newest first": (T[::-1], "turn the rows round"),
-    "summer time ends": (np.r_[T[:200], T[200:] - 3600], "back by an hour"),
+    "newest first": (T[::-1], "Sort the record"),
+    "summer time ends": (np.r_[T[:200], T[200:] - 3600], "where summer time ends.*--time-step"),
     "a second run": (np.r_[T[:200], T[:200]], "split the file there"),
     "two rows swapped": (np.r_[T[:100], T[[101, 100]], T[102:]], "Sort the record"),
     "one bad stamp": (np.where(np.arange(N) == 50, 0, T), "Sort the record"),
-    "every row twice": (np.repeat(T, 2), "stands in 2 rows.*write the file anew"),
+    "every row twice": (np.repeat(T, 2), "50% of rows repeat.* one row for each time"),
     "up to zero": (-(T[::-1] ** 1.1), "evenly spaced"),
 }
 

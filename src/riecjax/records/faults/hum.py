@@ -84,9 +84,8 @@ class Spectrum(NamedTuple):
         if low < LOBE + 2 or high > self.power.size - 2 - LOBE:
             return None
         peak = low + int(np.argmax(self.power[low : high + 1]))
-        if self.power[peak] < max(self.power[[peak - 1, peak + 1]]):
-            return None
-        if self.chance[peak] * (high - low + 1) > chance:
+        is_chance = self.chance[peak] * (high - low + 1) > chance
+        if is_chance or self.power[peak] < max(self.power[[peak - 1, peak + 1]]):
             return None
         # No other line is around, but harmonics that sampling folds beside this one.
         own = LOBE + int(HARMONICS * tolerance / self.resolution)
@@ -139,9 +138,8 @@ def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
 
 def lines_of(spectrum: Spectrum, grid: float) -> list[Line]:
     """The lines of a grid that stand out."""
-    harmonics = grid * np.arange(1, HARMONICS + 1)
-    lines = (spectrum.line(frequency, BY_CHANCE / HARMONICS) for frequency in harmonics)
-    return [line for line in lines if line is not None]
+    lines = (spectrum.line(grid * k, BY_CHANCE / HARMONICS) for k in range(1, HARMONICS + 1))
+    return [line for line in lines if line]
 
 
 @fault(
@@ -158,8 +156,8 @@ def hum(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     """
     if (spectrum := _sensor_spectrum(signal)) is None or not _foreign(spectrum):
         return
-    found = {name: _sensor_spectrum(other) for name, other in signals.recorded.items()}
-    spectra = {name: spectrum for name, spectrum in found.items() if spectrum is not None}
+    found = ((name, _sensor_spectrum(other)) for name, other in signals.recorded.items())
+    spectra = {name: spectrum for name, spectrum in found if spectrum is not None}
     by_grid = {name: _foreign(spectrum) for name, spectrum in spectra.items()}
     for grid in (grid for grid in MAINS if grid in by_grid.get(signal.name, {})):
         lines = {name: of[grid] for name, of in by_grid.items() if grid in of}
@@ -254,9 +252,9 @@ def notch(record: Record, frequency: float | Literal["auto"]) -> Operations:
         values = record.signal(name).with_nan
         if (spectrum := spectrum_of(values, time_step)) is None:
             continue
-        grids = MAINS if frequency == "auto" else (frequency,)
-        lines = [line for grid in grids for line in lines_of(spectrum, grid)]
-        if frequency != "auto":
+        if frequency == "auto":
+            lines = [line for grid in MAINS for line in lines_of(spectrum, grid)]
+        else:
             seen = spectrum.folded(frequency)
             if not spectrum.resolution < seen < spectrum.resolution * (spectrum.power.size - 2):
                 raise DataError(
@@ -264,7 +262,7 @@ def notch(record: Record, frequency: float | Literal["auto"]) -> Operations:
                     f"and length of record, where it cannot be told from an offset."
                 )
             exact = spectrum.line(frequency, 1.0) or Line(frequency, seen, 0.0)
-            lines = [exact, *(line for line in lines if line.nominal > frequency)]
+            lines = [exact, *(o for o in lines_of(spectrum, frequency) if o.nominal > frequency)]
         if lines:
             values = without_lines(values, time_step, [line.seen for line in lines])
             yield name, LinearOp.of_values(f"lines of the mains{at} taken off", values)
@@ -283,33 +281,18 @@ def without_lines(values: np.ndarray, time_step: float, frequencies: Iterable[fl
     mean = np.sum(left) / known.sum()
     length = min((values.size + 1) // 2, int(STEADY / time_step))
     window = np.hanning(length + 2)[1:-1]
-    size_of_both = scipy.fft.next_fast_len(values.size + length - 1)
-    response = np.fft.fft(window, size_of_both)
-
-    def weighed(samples: np.ndarray) -> np.ndarray:
-        """Sums under the window wherever it lies within the samples."""
-        both = np.fft.ifft(np.fft.fft(samples, size_of_both) * response)
-        return both[length - 1 : samples.size]
-
-    weight = np.real(weighed(known.astype(float)))
+    weight = scipy.signal.fftconvolve(known.astype(float), window, "valid")
     weight = np.maximum(weight, 1e-9 * weight.max())
-    before = (values.size - weight.size) // 2
-    after = values.size - weight.size - before
-    time = np.arange(values.size) * time_step
+    place, reach = np.arange(values.size), min(length, weight.size) - 1
+    inside = np.clip(place - (values.size - weight.size) // 2, 0, weight.size - 1)
+    beyond = place - (values.size - weight.size) // 2 - inside
     for frequency in dict.fromkeys(frequencies):
-        turn, centred = np.exp(2j * np.pi * frequency * time), np.where(known, left - mean, 0.0)
-        inner = 2 * weighed(centred * turn.conj()) / weight
-        reach = min(length, inner.size) - 1
-        first, last = (
-            np.exp(1j * np.angle(inner[k + reach] * inner[k].conj()) / max(reach, 1))
-            for k in (0, inner.size - 1 - reach)
-        )
-        amplitude = np.concatenate(
-            [
-                inner[0] * first ** np.arange(-before, 0),
-                inner,
-                inner[-1] * last ** np.arange(1, after + 1),
-            ]
-        )
+        turn = np.exp(2j * np.pi * frequency * time_step * place)
+        centred = np.where(known, left - mean, 0.0)
+        inner = 2 * scipy.signal.fftconvolve(centred * turn.conj(), window, "valid") / weight
+        # What the phase advances by from sample to sample, at the start and at the end.
+        ends = inner[[reach, -1]] * inner[[0, -1 - reach]].conj()
+        first, last = np.exp(1j * np.angle(ends) / max(reach, 1))
+        amplitude = inner[inside] * np.where(beyond < 0, first, last) ** beyond
         left = left - np.real(amplitude * turn)
     return np.where(known, left * size, np.nan)

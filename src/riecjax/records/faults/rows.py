@@ -74,11 +74,7 @@ def row_keys(columns: Sequence[Samples], block: int = 1) -> Float[np.ndarray, " 
     Of sums with random weights two that should differ are the same once in 1e16.
     """
     weights = np.random.default_rng(0).uniform(1, 2, len(columns) + block)
-    rows = np.zeros(len(columns[0]))
-    for column, weight in zip(columns, weights):
-        rows += weight * column
-    if block == 1:
-        return rows
+    rows = sum((w * column for column, w in zip(columns, weights)), np.zeros(len(columns[0])))
     count = max(rows.size - block + 1, 0)
     shifted = (weight * rows[k : k + count] for k, weight in enumerate(weights[len(columns) :]))
     return sum(shifted, np.zeros(count))
@@ -148,25 +144,20 @@ def duplicates(recordings: Sequence[NamedRecord]) -> list[Finding]:
     columns = [{k: np.asarray(v) for k, v in one.record.arrays.items()} for one in recordings]
     found: dict[tuple[int, int], Finding] = {}
     for name in sorted({name for each in columns for name in each}):
-        for first, second, shift in _candidates([each.get(name, NONE) for each in columns]):
-            common = columns[first].keys() & columns[second].keys()
-            one, other = ({n: columns[k][n] for n in common} for k in (first, second))
+        candidates = _candidates([each.get(name, NONE) for each in columns])
+        for pair, shift in candidates.items():
+            common = columns[pair[0]].keys() & columns[pair[1]].keys()
+            both = [{n: columns[k][n] for n in common} for k in pair]
             starts = max(shift, 0), max(-shift, 0)
-            if (first, second) in found or not (rows := _rows_in_common(one, other, starts)):
+            if pair in found or not (rows := _rows_in_common(both, starts)):
                 continue
-            one, other = recordings[first], recordings[second]
-            counts, step = [r.record.sample_count for r in (one, other)], one.record.time_step
-            shorter, longer = (other, one) if counts[1] <= counts[0] else (one, other)
-            what = (
-                f"all of {shorter.name} lies in {longer.name}"
-                if rows >= min(counts)
-                else f"{rows * step:.4g} s of {other.name}, from {starts[1] * step:.4g} s on, are "
-                f"those of {one.name} from {starts[0] * step:.4g} s on"
-            )
-            found[first, second] = Finding(
+            one, other = (recordings[k] for k in pair)
+            step = one.record.time_step
+            found[pair] = Finding(
                 "duplicate_recording",
-                f"{what}, sample by sample: a copy tells nothing new, and makes intervals up to "
-                f"1.4 times too narrow.",
+                f"{rows * step:.4g} s of {other.name}, from {starts[1] * step:.4g} s on, are those "
+                f"of {one.name} from {starts[0] * step:.4g} s on, sample by sample: a copy tells "
+                f"nothing new, and makes intervals up to 1.4 times too narrow.",
             )
     return [found[pair] for pair in sorted(found)]
 
@@ -182,7 +173,7 @@ def refuse_duplicates(recordings: Sequence[NamedRecord]) -> None:
         )
 
 
-def _candidates(columns: Sequence[Samples]) -> Iterator[tuple[int, int, int]]:
+def _candidates(columns: Sequence[Samples]) -> dict[tuple[int, int], int]:
     """Pairs of columns with blocks in common, and by how many rows later the first has them.
 
     Samples are rounded to 16 times what rounding may have parted them by, so that most blocks of
@@ -201,30 +192,19 @@ def _candidates(columns: Sequence[Samples]) -> Iterator[tuple[int, int, int]]:
     same = np.flatnonzero(np.isfinite(key[1:]) & (key[1:] == key[:-1]))
     offsets = np.stack([owner[same], owner[same + 1], place[same] - place[same + 1]])
     pairs, votes = np.unique(offsets, axis=1, return_counts=True)
-    tried: set[tuple[int, int]] = set()
-    for first, second, shift in pairs[:, np.argsort(-votes, kind="stable")].T.tolist():
-        if (first, second) not in tried:
-            tried.add((first, second))
-            yield first, second, shift
+    rising = pairs[:, np.argsort(-votes, kind="stable")[::-1]].T.tolist()
+    return {(first, second): shift for first, second, shift in rising}
 
 
-def _rows_in_common(
-    first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray], starts: tuple[int, int]
-) -> int:
+def _rows_in_common(both: Sequence[Mapping[str, np.ndarray]], starts: tuple[int, int]) -> int:
     """How many rows two recordings have in common from these rows on; 0 if they do not agree."""
-    sizes = [next(iter(columns.values())).size for columns in (first, second)]
-    rows = min(sizes[0] - starts[0], sizes[1] - starts[1])
-    short = second if sizes[1] <= sizes[0] else first
+    sizes = [next(iter(columns.values())).size for columns in both]
+    rows = min(size - start for size, start in zip(sizes, starts))
+    short = both[int(sizes[1] <= sizes[0])]
     near = {name: ROUNDED * spread_of(v) for name, v in short.items() if np.ptp(v) > 0}
-
-    def agree(name: str) -> bool:
-        one, other = (
-            columns[name][start : start + rows] for columns, start in zip((first, second), starts)
-        )
-        return bool(np.mean(np.abs(one - other) <= near[name]) >= ALIKE)
-
-    enough = near and rows >= max(LEAST * min(sizes), FEWEST)
-    return rows if enough and all(map(agree, near)) else 0
+    off = {n: np.subtract(*(c[n][a : a + rows] for c, a in zip(both, starts))) for n in near}
+    alike = all(np.mean(np.abs(off[name]) <= near[name]) >= ALIKE for name in near)
+    return rows if near and alike and rows >= max(LEAST * min(sizes), FEWEST) else 0
 
 
 @fault(
@@ -302,26 +282,26 @@ def cut_rows(record: Record, signal: str, derivative: str) -> Finding | None:
         return None
     place = int(np.argmax(np.where(sure, np.abs(short), 0.0)))
     jump, time = float(short[place]), np.asarray(record.elapsed)
-    lasts = place < x.size / 2
+    option, kept, off, gone = (
+        ("--from", "from there on", 2, "before")
+        if place < x.size / 2
+        else ("--to", "up to there", -2, "behind")
+    )
     return Finding(
         "lost_rows",
         f"{signal} jumps by {jump * size:.3g} at {time[place]:.7g} s, which the integral of "
         f"{derivative} does not follow, and goes on as before: rows of all signals are gone there, "
-        f"and time was numbered anew. Use the record {'from there on' if lasts else 'up to there'},"
-        f" or mark the gap in its time.",
+        f"and time was numbered anew. Use the record {kept}, or mark the gap in its time.",
         (signal, derivative),
         doubt=min(abs(jump), 1.0),
-        remedy=("--from", f"{time[place + 2]:.7g}")
-        if lasts
-        else ("--to", f"{time[place - 2]:.7g}"),
-        step=f"Leave out what is {'before' if lasts else 'behind'} the jump",
+        remedy=(option, f"{time[place + off]:.7g}"),
+        step=f"Leave out what is {gone} the jump",
     )
 
 
 def _jumps(values: np.ndarray, side: int) -> np.ndarray:
     """At each sample, the line through those from it on less that through those before, midway."""
-    at = np.arange(side) + 0.5
     # Weights whose sum with values on a straight line is that line's value at 0.
-    weights = 1 / side - np.mean(at) * (at - np.mean(at)) / np.sum((at - np.mean(at)) ** 2)
+    weights = np.linalg.pinv(np.vander(np.arange(side) + 0.5, 2))[1]
     inner = np.convolve(values, np.concatenate([weights[::-1], -weights]), "valid")
     return np.pad(inner, (side, side - 1), constant_values=np.nan)

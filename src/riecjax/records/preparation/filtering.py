@@ -50,12 +50,6 @@ def low_pass(record: Record, cutoffs: Mapping[str, float]) -> Operations:
                 f"the sampling rate, {nyquist:g} Hz."
             )
         lost = int(np.ceil(SETTLING_PERIODS / cutoff / float(record.time_step)))
-        shortest = max(2 * lost + 2, FILTER_PADDING) + 1
-        if record.sample_count < shortest:
-            raise DataError(
-                f"the record is too short to be filtered at {cutoff:g} Hz: {lost} "
-                f"samples are lost at each end. Raise the cut-off, or record for longer."
-            )
         sections = scipy.signal.butter(FILTER_ORDER, cutoff / nyquist, output="sos")
         impulse = np.zeros(4 * lost + FILTER_PADDING + 1)
         impulse[impulse.size // 2] = 1.0
@@ -70,7 +64,7 @@ def low_pass(record: Record, cutoffs: Mapping[str, float]) -> Operations:
             settled,
             lost=(lost, lost),
             noise=convolved_with(*scipy.signal.sosfiltfilt(sections, impulse)),
-            shortest=shortest,
+            shortest=max(2 * lost + 2, FILTER_PADDING) + 1,
         )
         yield name, op
 
@@ -93,14 +87,9 @@ def unfilter(record: Record, lags: Mapping[str, float]) -> Operations:
                 f"the time constant of the low-pass before '{name}' must be positive, in seconds, "
                 f"and shorter than the record, {float(record.duration):.4g} s; got {seconds:g} s."
             )
-        yield name, lead(record, seconds)
-
-
-def lead(record: Record, seconds: float) -> LinearOp:
-    """What [`unfilter`][] does, with any time constant."""
-    taps = seconds / float(record.time_step) * SLOPE
-    taps[taps.size // 2] += 1.0
-    return LinearOp.of_taps(f"low-pass undone: {{}} of {seconds:g} s", taps, -(taps.size // 2))
+        half = SLOPE.size // 2
+        taps = seconds / float(record.time_step) * SLOPE + (np.arange(SLOPE.size) == half)
+        yield name, LinearOp.of_taps(f"low-pass undone: {{}} of {seconds:g} s", taps, -half)
 
 
 @step
@@ -232,11 +221,6 @@ def local_slope(record: Record, signal: str) -> LinearOp:
     record, spacing = judged(record, "auto", signal), float(record.time_step)
     longest = longest_stretch(record, signal)
     count = _widest(record, signal, spacing) if longest > 2 * NARROWEST else NARROWEST
-    if longest < 2 * count + 1 or record.sample_count < 2 * count + 2:
-        raise DataError(
-            f"'{signal}' has no derivative by local polynomials: they take {2 * count + 1} samples "
-            f"in succession, and its longest stretch has {longest}. Repair the gaps."
-        )
     words = f"{{}}: slope of {signal} by local polynomials, {count * spacing:.3g} s to each side"
     taps = derivative_taps(count, spacing)[::-1]
     return LinearOp.of_taps(words, taps, -count, source=signal, unit="/s")

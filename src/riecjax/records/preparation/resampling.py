@@ -44,7 +44,7 @@ from riecjax.records.signal import (
     shortened,
     usual_size,
 )
-from riecjax.records.time_base import PPM
+from riecjax.records.time_base import PPM, not_rising
 from riecjax.runtime import in_gigabytes, require_memory
 
 LARGEST_BLOCK = 2**22
@@ -347,12 +347,7 @@ def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel:
             )
     steps = np.diff(time)
     if (steps <= 0).any():
-        first = int(np.argmax(steps <= 0)) + 1
-        raise DataError(
-            f"time of channel '{name}' must increase from sample to sample; at sample {first} it "
-            f"goes from {time[first - 1]:g} to {time[first]:g} s. Sort the channel or remove "
-            f"repeated samples."
-        )
+        raise DataError(f"channel '{name}': {not_rising(time, steps)}")
     present = ~np.isnan(values)
     if not present.any():
         raise DataError(f"channel '{name}' holds no number at all.")
@@ -502,19 +497,13 @@ def spline_taps(positions: Float[np.ndarray, " m"]) -> Taps:
     """
     spacing = float(np.median(np.diff(positions)))
     knots = np.arange(-2 * KNOTS, 2 * KNOTS + 1)
-    spline = scipy.interpolate.CubicSpline(knots, (knots == 0).astype(float))
-
-    def at(places: np.ndarray) -> np.ndarray:
-        return np.where(np.abs(places) < KNOTS, spline(np.clip(places, -KNOTS, KNOTS)), 0.0)
-
+    spline = scipy.interpolate.CubicSpline(knots, knots == 0, extrapolate=False)
     reach = math.ceil(2 * KNOTS / spacing)
     chosen = np.linspace(0, positions.size - 1, min(positions.size, PHASES)).astype(int)
-    near = np.arange(-KNOTS, KNOTS + 1)
-    first = np.mod(positions[chosen], 1.0)[:, None]
-    here = at(first - near)
-    covariance = np.array(
-        [np.mean(np.sum(here * at(first + lag * spacing - near), 1)) for lag in range(reach + 1)]
-    )
+    # By phase, lag and knot.
+    places = np.mod(positions[chosen], 1.0)[:, None, None] - np.arange(-KNOTS, KNOTS + 1)
+    through = np.nan_to_num(spline(places + spacing * np.arange(reach + 1)[:, None]))
+    covariance = np.mean(np.sum(through[:, :1] * through, axis=2), axis=0)
     spectrum = np.fft.rfft(np.concatenate([covariance, covariance[:0:-1]]))
     kernel = np.fft.irfft(np.sqrt(np.maximum(spectrum.real, 0.0)), 2 * reach + 1)
     return shortened(np.fft.fftshift(kernel))

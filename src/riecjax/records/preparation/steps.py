@@ -96,8 +96,9 @@ def prepare(
         ops, kernel = dict(differentiate.ops(record, of, name)), record.noise.kernels[of].get(of)
         if of not in derivatives and kernel is not None and kernel.shape[-1] == 1:
             with contextlib.suppress(DataError):  # too short for them
-                ops = {name: local_slope(record, of)}
-        record = record.through(ops)
+                slopes = {name: local_slope(record, of)}
+                record, ops = record.through(slopes), slopes
+        record = record if name in record.arrays else record.through(ops)
         words += words_of(ops)
     if p.every > 1:
         record = record.every(p.every)
