@@ -27,7 +27,7 @@ from riecjax.records.reading.units import (
     unit_behind,
 )
 from riecjax.records.record import Record
-from riecjax.records.time_base import StampError, time_base
+from riecjax.records.time_base import SHORTEST_PAUSE, StampError, time_base
 from riecjax.settings import Read, Select
 
 
@@ -212,7 +212,10 @@ class Selected:
         held = {name: s for name, s in self.held.items() if time is None or name != time.name}
         if step is not None:
             if time is not None:
-                self.steps.append(f"column '{time.name}' is not used: the time step is given")
+                long = np.diff(known)[np.diff(known) > SHORTEST_PAUSE * step]
+                said = f"column '{time.name}' is not used: the time step is given"
+                more = f", though {long.size} of its steps are longer" if long.size else ""
+                self.steps.append(said + more)
             lengths = [held[name].values.size for name in (held.keys() & rename) or held]
             size = max(lengths, key=lambda size: (lengths.count(size), size), default=0)
             axes = dict.fromkeys(held, step * np.arange(size))
@@ -337,7 +340,11 @@ class Selected:
         measured = {}
         if rate is not None:
             for name, signal in self.held.items():
-                known = ~np.isnan(signal.time)
+                known, there = ~np.isnan(signal.time), ~np.isnan(signal.values)
+                # A slower channel has blanks in the rows of others, which are no gaps.
+                if np.sum(there) > 1 and np.median(np.diff(np.flatnonzero(there))) > 1:
+                    self.steps.append(f"{name}: sampled in {np.sum(there)} of {there.size} rows")
+                    known &= there
                 measured[name] = signal.time[known], signal.values[known]
             axis, values, said = on_grid(measured, rate, self.matter)
             self.steps += [*said, f"resampled to {rate:g} Hz"]
