@@ -161,7 +161,7 @@ class Record(PlainMethods, Drawn, eqx.Module):
         start, stamps = 0.0, None
         if time is not None:
             given = every["t"]
-            (step, pauses, _), start = time_base(given), given[0]
+            (step, pauses, *_), start = time_base(given), given[0]
             if pauses.size:
                 # The middle of each pause.
                 stamps = np.insert(given, pauses, 0.5 * (given[pauses - 1] + given[pauses]))

@@ -39,18 +39,27 @@ class TimeBase(NamedTuple):
     """An evenly sampled time axis.
 
     **Fields:** `step` in seconds; `pauses`, the samples before which the logger paused; `jitter` of
-    the stamps about it, r.m.s. as a share of a step, where that exceeds their rounding.
+    the stamps about it, r.m.s. as a share of a step, where that exceeds their rounding; `digit` in
+    seconds that they are rounded to, where that makes steps of two lengths.
     """
 
     step: float
     pauses: np.ndarray
     jitter: float = 0.0
+    digit: float = 0.0
 
     @property
     def words(self) -> tuple[str, ...]:
-        """What is said of the jitter."""
-        said = f"time stamps jitter by {self.jitter:.2%} of a step (r.m.s.); taken as even"
-        return (said,) * (self.jitter > 0)
+        """What is said of jitter and rounding."""
+        jitter = f"time stamps jitter by {self.jitter:.2%} of a step (r.m.s.); taken as even"
+        rounding = (
+            f"time stamps are taken as {1 / self.step:.6g} Hz, rounded to {self.digit:g} s; if rows"
+            f" are lost instead, bring them to {1 / self.digit:g} Hz (on the command line:"
+            f" --resample {1 / self.digit:g})"
+            if self.digit
+            else ""
+        )
+        return (jitter,) * (self.jitter > 0) + (rounding,) * bool(rounding)
 
 
 def time_base(stamps: np.ndarray) -> TimeBase:
@@ -134,7 +143,9 @@ def not_rising(stamps: np.ndarray, steps: np.ndarray) -> StampError:
         spacing = np.spacing(np.float32(stamps[-1]))
         narrow = spacing > 1 and _are_narrow(stamps)
         why = f": stored in 32-bit, which has steps of {spacing:g} s there" if narrow else ""
-        mean = (stamps[-1] - stamps[0]) / steps.size
+        changes = np.flatnonzero(steps)
+        first, last = changes[[0, -1]] if changes.size > 1 else (0, steps.size)
+        mean = (stamps[last] - stamps[first]) / (last - first)
         about = f", about {mean:.3g} here" if mean else ""
         return StampError(
             f"its stamps are too coarse for the samples: {standing:.0%} of rows repeat the stamp "
@@ -168,7 +179,8 @@ def _grid_of_decimals(stamps: np.ndarray, pauses: np.ndarray) -> TimeBase | None
     places = [np.arange(one.size) - (one.size - 1) / 2 for one in stretches]
     step = sum(map(np.dot, places, stretches)) / sum(place @ place for place in places)
     off = _distance_from_grid(stamps, pauses, float(step))
-    return TimeBase(float(step), pauses) if off <= 0.51 * _digit(stamps) else None
+    digit = _digit(stamps)
+    return TimeBase(float(step), pauses, digit=digit) if off <= 0.51 * digit else None
 
 
 def _rounded_grid(stamps: np.ndarray) -> TimeBase | None:

@@ -17,7 +17,7 @@ X = np.sin(9 * T)
 def read(folder, columns, **settings):
     path = folder / "a.csv"
     lines = [",".join(columns)]
-    lines += [",".join(str(values[i]) for values in columns.values()) for i in range(N)]
+    lines += [",".join(map(str, row)) for row in zip(*columns.values(), strict=True)]
     path.write_text("\n".join(lines) + "\n")
     return read_recording(path, **settings)
 
@@ -215,3 +215,24 @@ def test_stamps_that_jitter_are_even_and_it_is_said(tmp_path, kind):
     (said,) = [words for words in recording.steps if "jitter" in words]
     share = float(said.split("%")[0].split()[-1])
     np.testing.assert_allclose(share, 0.6 if kind != "sleep" else 0.42, rtol=0.1)
+
+
+def test_what_is_said_of_stamps_that_may_be_read_in_two_ways(tmp_path):
+    every = 0.01 * np.arange(400)
+    kept = np.arange(400) % 10 != 5
+    recording = read(tmp_path, {"t": every[kept], "x": np.sin(3 * every[kept])})
+    assert any("--resample 100" in step for step in recording.steps)
+    recording = read(tmp_path, {"t": every[kept], "x": every[kept]}, time_step=0.01)
+    assert "column 't' is not used: the time step is given, though 40 of its steps are longer" in (
+        recording.steps
+    )
+    with pytest.raises(DataError, match=r"--time-step, about 0\.01 here"):
+        read(tmp_path, {"t": np.floor(np.arange(30, 430) / 100), "x": every})
+
+
+def test_a_slower_channel_has_blanks_and_no_gaps(tmp_path):
+    time = 0.01 * np.arange(2000)
+    fast, slow = np.sin(7 * time), np.where(np.arange(2000) % 4 == 0, np.cos(3 * time), np.nan)
+    record = read(tmp_path, {"t": time, "x": fast, "u": slow}, resample=100.0).record
+    assert record.duration > 19.8
+    np.testing.assert_allclose(record["u"], np.cos(3 * np.asarray(record.time)), atol=1e-4)
