@@ -311,3 +311,23 @@ def test_of_a_signal_that_is_hardly_there_noise_is_none_or_what_is_left():
     values = np.full(100_000, np.nan)
     values[:8] = np.sin(np.arange(8))
     assert float(noise_level(values)) >= 0
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e160])
+def test_numbers_whose_squares_are_none_leave_noise_as_it_was(size):
+    motion = broad_motion(0, 600)
+    record = judged(rx.Record({n: size * motion[n] for n in "xva"}, 1 / RATE))
+    told = judged_together(record, [("x", "v"), ("v", "a")], "xva")
+    assert all(np.isfinite(std(told, name)) or np.isinf(std(record, name)) for name in "xva")
+
+
+def test_a_copy_and_an_integral_of_a_noisy_signal_hide_no_noise():
+    """What has its noise from another sensor tells nothing of it."""
+    motion = broad_motion(5)
+    size = 0.05 * np.std(motion["v"])
+    v = motion["v"] + white(size, 3, 8000)
+    x = scipy.integrate.cumulative_trapezoid(v, dx=1 / RATE, initial=0)
+    x += 0.01 * np.std(motion["x"]) * white(1.0, 4, 8000)
+    record = judged(rx.Record({"x": x, "v": v, "v_raw": v.copy()}, 1 / RATE))
+    told = judged_together(record, [("x", "v")], ["x", "v"])
+    assert std(told, "v") == pytest.approx(size, rel=0.1)

@@ -11,6 +11,7 @@ between the motion and the filter's edge; a band-limited excitation makes a shel
 which other signals then have in common, while noise of sensors is coherent with nothing.
 """
 
+import contextlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -186,7 +187,7 @@ def unexplained(of: Spectra, others: Sequence[Spectra]) -> Float[np.ndarray, " f
     segments = np.stack([one.transforms.T for one in every], axis=1)
     size = np.sqrt(np.mean(np.abs(segments) ** 2, axis=2, keepdims=True))
     segments = np.divide(segments, size, out=np.zeros_like(segments), where=size > 0)
-    coherency = segments @ segments.conj().transpose(0, 2, 1) / segments.shape[2]
+    coherency = np.nan_to_num(segments @ segments.conj().transpose(0, 2, 1) / segments.shape[2])
     inverse = np.linalg.inv(coherency + NEGLIGIBLE**2 * np.eye(len(every)))
     by_chance = independent / (independent - len(every) + 1)
     return by_chance * of.density / np.real(inverse[:, 0, 0])
@@ -309,8 +310,10 @@ def judged_together(
             most = lowest(unexplained(spectra_of[name], others)[:-1])
             if others and most < own[name].variance:
                 own[name] = Variance(most, most)
-    known = [name for name in given if name in own]
-    told = variances(record.select(*sorted(white)), pairs, own, known)
+    known, told = [name for name in given if name in own], {}
+    # Numbers whose squares overflow are for others to refuse.
+    with contextlib.suppress(np.linalg.LinAlgError):
+        told = variances(record.select(*sorted(white)), pairs, own, known)
     better = {n: one for n, one in (own | told).items() if one.error > 0 and n not in known}
     return record.with_noise(
         Noise.of(
