@@ -294,35 +294,40 @@ def judged_together(
         variance = float(noise.std(name)) ** 2
         freedom = np.inf if name in given else float(noise.freedom.get(name, np.inf))
         own[name] = Variance(variance, variance * np.sqrt(2 / freedom))
-    # A filter of a signal has its noise, and so have those that it may be a derivative of.
-    related = [{*one.names} for one in relations(pairs)]
-    names = [name for name in dict.fromkeys(read) if name in white]
-    unsure = [name for name in names if own[name].error >= own[name].variance > 0]
-    if unsure:
-        present = record.present(names)
-        rows = stretches_of(record.sample_count)
-        there = np.full(record.sample_count, True) if present is None else np.asarray(present)
-        values = (np.where(there, record.arrays[name], np.nan)[rows] for name in names)
-        spectra_of = {n: one for n, one in zip(names, map(spectra, values)) if one is not None}
-        for name in (name for name in unsure if name in spectra_of):
-            beside = {name}.union(*(one for one in related if name in one))
-            others = [one for n, one in spectra_of.items() if n not in beside]
-            most = lowest(unexplained(spectra_of[name], others)[:-1])
-            if others and most < own[name].variance:
-                own[name] = Variance(most, most)
+    own |= _limited(record, pairs, {name: own[name] for name in read if name in own})
     known, told = [name for name in given if name in own], {}
     # Numbers whose squares overflow are for others to refuse.
     with contextlib.suppress(np.linalg.LinAlgError):
         told = variances(record.select(*sorted(white)), pairs, own, known)
-    better = {n: one for n, one in (own | told).items() if one.error > 0 and n not in known}
-    return record.with_noise(
-        Noise.of(
-            {
-                name: SignalNoise({name: np.sqrt([v])}, {name: np.asarray(2 * (v / error) ** 2)})
-                for name, (v, error) in better.items()
-            }
-        )
-    )
+    better = {}
+    for name, (variance, error) in (own | told).items():
+        if error > 0 and name not in known:
+            freedom = np.asarray(2 * (variance / error) ** 2)
+            better[name] = SignalNoise({name: np.sqrt([variance])}, {name: freedom})
+    return record.with_noise(Noise.of(better))
+
+
+def _limited(record: Record, pairs: Pairs, own: Mapping[str, Variance]) -> dict[str, Variance]:
+    """Of noise that is unsure to within its own size, what others leave unexplained if it is less.
+
+    **Arguments:** `own`, of the signals that are looked at.
+    """
+    unsure = [name for name, one in own.items() if one.error >= one.variance > 0]
+    if not unsure:
+        return {}
+    count, limits = record.sample_count, {}
+    present = record.present(own)
+    there = np.full(count, True) if present is None else np.asarray(present)
+    values = (np.where(there, record.arrays[name], np.nan)[stretches_of(count)] for name in own)
+    found = {name: one for name, one in zip(own, map(spectra, values)) if one is not None}
+    for name in (name for name in unsure if name in found):
+        # A filter of a signal has its noise, as a derivative that was computed has.
+        related = {name}.union(*(one.names for one in relations(pairs) if name in one.names))
+        others = [one for other, one in found.items() if other not in related]
+        most = lowest(unexplained(found[name], others)[:-1])
+        if others and most < own[name].variance:
+            limits[name] = Variance(most, most)
+    return limits
 
 
 def noise_entries(records: Sequence[Record], names: Iterable[str]) -> dict[str, dict[str, object]]:
