@@ -100,3 +100,16 @@ def test_a_part_without_any_sample_of_a_signal():
     values[:40] = np.nan
     with pytest.raises(rx.DataError, match="the estimation part holds no sample of 'q'"):
         rx.split(numbered(values), 0.7)
+
+
+def test_the_slope_of_a_signal_that_is_held_is_of_the_rows_at_which_it_is_new(tmp_path):
+    time = 0.005 * np.arange(4000)
+    held = np.repeat(np.sin(2 * np.pi * time[::2]), 2) + 0.002 * np.repeat(
+        np.random.default_rng(1).normal(size=2000), 2
+    )
+    file = tmp_path / "a.csv"
+    np.savetxt(file, np.stack([time, held], 1), delimiter=",", header="t,x", comments="")
+    model = rx.Model("m", "m", stages=rx.Equation(rx.Term("k", "x")), derived={"dx": "x"})
+    record = rx.read_recording(file, model=model, every=2).record
+    expected = 2 * np.pi * np.cos(2 * np.pi * np.asarray(record.time))
+    assert np.std(np.asarray(record["dx"]) - expected) < 0.04 * np.std(expected)

@@ -9,7 +9,7 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.records.faults.hum import notch
-from riecjax.records.faults.signals import leave_out
+from riecjax.records.faults.signals import holding, leave_out
 from riecjax.records.linear_op import Step, words_of
 from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation.filtering import (
@@ -52,9 +52,9 @@ def prepare(
 ) -> tuple[Record, list[str]]:
     """Take the steps; add `derivatives` (new signal to its signal) that are still missing.
 
-    Those are added before the record is thinned, which would coarsen their differences: of a noisy
-    sensor's signal by local polynomials; of what is filtered already, is a derivative itself or has
-    no noise, by differences.
+    Those are added before the record is thinned, which would coarsen their differences, but for
+    signals that are held from row to row: of a noisy sensor's signal by local polynomials; of what
+    is filtered already, is a derivative itself or has no noise, by differences.
 
     **Returns:** the prepared record, and the steps that were taken, in words.
 
@@ -88,21 +88,30 @@ def prepare(
         ops = dict(step.ops(record, *asked))
         record = record.through(ops)
         words += words_of(ops)
-    for name, of in derivatives.items():
-        if name in record.arrays:
-            continue
-        record = judged(record, "auto", of)
-        record.signal(of)  # without it there is a helpful error, and no noise to look up
-        ops, kernel = dict(differentiate.ops(record, of, name)), record.noise.kernels[of].get(of)
-        if of not in derivatives and kernel is not None and kernel.shape[-1] == 1:
-            with contextlib.suppress(DataError):  # too short for them
-                slopes = {name: local_slope(record, of)}
-                record, ops = record.through(slopes), slopes
-        record = record if name in record.arrays else record.through(ops)
-        words += words_of(ops)
-    if p.every > 1:
-        record = record.every(p.every)
-        words.append(f"one sample of {p.every}")
+    missing = {name: of for name, of in derivatives.items() if name not in record.arrays}
+    there = {*missing.values()} & {*record.arrays}
+    held = holding(record, there) if p.every > 1 else set[str]()
+    for name, of in missing.items():
+        held |= {name} if of in held else set[str]()
+    for is_thinned in (False, True):
+        if is_thinned and p.every > 1:
+            record = record.every(p.every)
+            words.append(f"one sample of {p.every}")
+        for name, of in missing.items():
+            if (of in held) is not is_thinned:
+                continue
+            record = judged(record, "auto", of)
+            record.signal(of)  # without it there is a helpful error, and no noise to look up
+            ops, kernel = (
+                dict(differentiate.ops(record, of, name)),
+                record.noise.kernels[of].get(of),
+            )
+            if of not in derivatives and kernel is not None and kernel.shape[-1] == 1:
+                with contextlib.suppress(DataError):  # too short for them
+                    slopes = {name: local_slope(record, of)}
+                    record, ops = record.through(slopes), slopes
+            record = record if name in record.arrays else record.through(ops)
+            words += words_of(ops)
     return record, words
 
 
