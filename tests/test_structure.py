@@ -17,13 +17,13 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 50_215,
-    "src modules": 214,
-    "src statements": 24_180,
-    "src literals": 1_430,
+    "src lines": 50_445,
+    "src modules": 215,
+    "src statements": 24_300,
+    "src literals": 1_353,
     "lines of commands and settings": 2_300,
-    "tests lines": 28_145,
-    "benchmarks lines": 9_570,
+    "tests lines": 28_480,
+    "benchmarks lines": 9_675,
     "README lines": 150,
 }
 LEAST_PROSE = 17
