@@ -60,10 +60,11 @@ def late() -> rx.Record:
 def test_terms_are_found_once_what_comes_late_is_in_time(late):
     found = discover(DRAG.start, late, **QUICK)
     assert {*found.names} == OTHERS["late_force"].missing
-    assert found.delays["u"] == pytest.approx(LATE, abs=2e-4)
+    # With 1 % noise delays scatter by 0.45 ms (five seeds).
+    assert found.delays["u"] == pytest.approx(LATE, rel=0.02)
     assert float(found.estimate["viscous"]) == pytest.approx(0.8, rel=0.03)
     assert ("late_signal", ("u",)) in [(one.code, one.signals) for one in found.findings]
-    assert discovery_document(found)["delays"] == {"u": pytest.approx(LATE, abs=2e-4)}
+    assert discovery_document(found)["delays"] == {"u": pytest.approx(LATE, rel=0.02)}
     said = sentence(found)
     assert f"u comes {1e3 * found.delays['u']:.3g} ms late" in said
     assert "identify with --shift u=0.03" in said

@@ -181,7 +181,7 @@ def _serve(folder: str) -> None:
         for line in sys.stdin.buffer:
             module, function, file, (arguments, named), kind, is_trusted, limit = json.loads(line)
             # Ends a loop that the parent cannot, having been killed itself.
-            if sys.platform != "win32":
+            with contextlib.suppress(AttributeError):
                 signal.alarm(int(limit) + 2)
             columns: dict[str, Any] = {}
             try:
@@ -197,7 +197,7 @@ def _serve(folder: str) -> None:
             written = np.frombuffer(json.dumps(described).encode(), np.uint8)
             np.savez(Path(folder) / "channels.npz", described=written, **columns)
             os.write(answers, b"\n")
-            if sys.platform != "win32":
+            with contextlib.suppress(AttributeError):
                 signal.alarm(0)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
