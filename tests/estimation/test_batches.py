@@ -27,7 +27,9 @@ def of_key(key, damping):
 
 
 def of_record(one):
-    return rx.identify(MACHINE.model, one, WINDOWS, key=KEYS[0], intervals=rx.BlockBootstrap(100))
+    # Under vmap sensors tell each other's noise of no values.
+    rest = {"key": KEYS[0], "intervals": rx.BlockBootstrap(100), "noise": "none"}
+    return rx.identify(MACHINE.model, one, WINDOWS, **rest)
 
 
 def refined(damping):

@@ -101,4 +101,4 @@ def test_unknown_names_are_answered_with_those_that_exist(settings, words):
 def test_a_record_that_was_given_twice_is_a_finding():
     found = fit(EQUATION, [RECORDS[0]] * 2, rx.DOLS()).findings()[0]
     assert found.code == "duplicate_recording"
-    assert "all of record 2 lies in record 1" in found.message
+    assert "of record 2, from 0 s on, are those of record 1 from 0 s on" in found.message
