@@ -213,7 +213,8 @@ def merged(old: Any, new: Any, unit: float | None = None) -> Any:
         return old
     if isinstance(old, dict) and isinstance(new, dict) and "projections" not in new:
         unit = abs(old["std_error"]) if _is_number(old.get("std_error")) else unit
-        return {k: merged(old[k], v, unit) if k in old else v for k, v in new.items()}
+        units = dict.fromkeys(("value", "interval95"), unit)
+        return {k: merged(old[k], v, units.get(k)) if k in old else v for k, v in new.items()}
     if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         return [merged(one, other, unit) for one, other in zip(old, new)]
     return new
