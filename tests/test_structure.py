@@ -17,12 +17,12 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 50_445,
+    "src lines": 50_450,
     "src modules": 215,
     "src statements": 24_300,
     "src literals": 1_353,
     "lines of commands and settings": 2_300,
-    "tests lines": 28_480,
+    "tests lines": 28_485,
     "benchmarks lines": 9_675,
     "README lines": 150,
 }
