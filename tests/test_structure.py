@@ -17,9 +17,9 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 50_450,
+    "src lines": 50_455,
     "src modules": 215,
-    "src statements": 24_300,
+    "src statements": 24_305,
     "src literals": 1_353,
     "lines of commands and settings": 2_300,
     "tests lines": 28_485,

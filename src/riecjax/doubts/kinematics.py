@@ -46,12 +46,11 @@ from riecjax.findings import SMOOTH, Finding, in_percent
 from riecjax.folds import Folds, Told
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.faults.spikes import repair_outliers
-from riecjax.records.noise_judgement import judged
+from riecjax.records.noise_judgement import judged_surely
 from riecjax.records.preparation.steps import undone
 from riecjax.records.reading.units import readings
 from riecjax.records.record import Record
 from riecjax.records.relations import Pairs, Relation, relations, summed, with_sum
-from riecjax.records.signal import Noise
 
 SHORTEST, FEWEST = 8, 24
 """Samples of the longest windows at the least, of which the shortest are an eighth; and how many of
@@ -200,10 +199,7 @@ def _prepared(record: Record, relation: Relation) -> Record | None:
 
 def _weighed(relation: Relation, record: Record, by: Sequence[str] = ()) -> Weighing:
     """What may be amiss with the terms of a relation, or `by` some of its signals."""
-    # What is only limited may be motion between the samples, and is none.
-    noise = judged(record).noise
-    limited = {n: {} for n in record.arrays if noise.freedom.get(n, np.inf) <= 2}
-    record = record.with_noise(Noise({**noise.kernels, **limited}, noise.freedom))
+    record = judged_surely(record)
     step, terms = float(record.time_step), relation.terms
     longest = max(_longest(record, relation.signal), SHORTEST)
     windows = AllWindows(max(longest // SHORTEST, 2) * step, longest * step)

@@ -269,6 +269,13 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
     return known.with_noise(Noise.of(estimates))
 
 
+def judged_surely(record: Record) -> Record:
+    """The same where noise that is only limited is none: it may be motion between samples."""
+    noise = judged(record).noise
+    limited = {name: {} for name in record.arrays if noise.freedom.get(name, np.inf) <= 2}
+    return record.with_noise(Noise({**noise.kernels, **limited}, noise.freedom))
+
+
 @np.errstate(all="ignore")
 def judged_together(
     record: Record, pairs: Pairs, read: Iterable[str], given: Collection[str] = ()
