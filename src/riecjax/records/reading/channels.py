@@ -306,10 +306,17 @@ def read_npz(file: Path) -> Channels:
         names = [member.filename.removesuffix(".npy") for member in members]
         size = sum(member.file_size for member in members)
         check_declared(0, size, file.stat().st_size, names)
+        made = 0
+        for member in members:
+            with archive.open(member) as stream:
+                shape, _, dtype = _header(stream)
+            is_table = sum(side > 1 for side in shape) <= 2
+            made += 8 * math.prod(shape) * max(len(dtype.names or ()), 1) * is_table
+        check_declared(unpacked=made)
+        require_memory("reading its arrays", 2 * made, "Read a part of the file.")
         arrays: dict[str, np.ndarray] = {}
         left_out = {}
         for name, member in zip(names, members):
-            require_memory("reading its arrays", 2 * member.file_size, "Read a part of the file.")
             with archive.open(member) as stream:
                 array = read_array(stream, member.file_size)
             if array is None:
@@ -319,8 +326,6 @@ def read_npz(file: Path) -> Channels:
                 inner = {field: array[field] for field in fields} if fields else {name: array}
                 check_declared(names=[*arrays, *inner])
                 arrays |= inner
-    tables = (8 * a.size for a in arrays.values() if sum(side > 1 for side in a.shape) <= 2)
-    require_memory("reading its arrays", sum(tables), "Read a part of the file.")
     found = vectors(arrays)
     found.left_out.update(left_out)
     return found
