@@ -17,10 +17,10 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 50458,
+    "src lines": 50_460,
     "src modules": 215,
-    "src statements": 24306,
-    "src literals": 1353,
+    "src statements": 24_310,
+    "src literals": 1_353,
     "lines of commands and settings": 2_300,
     "tests lines": 28_485,
     "benchmarks lines": 9_675,
@@ -141,10 +141,10 @@ def parsed() -> dict[str, tuple[str, list[ast.AST]]]:
 def sizes(parsed) -> dict[str, int]:
     nodes = [node for _, nodes in parsed.values() for node in nodes]
     return {
-        "src lines": 50458line_count(source_files("src", SOURCE_ENDINGS)),
+        "src lines": line_count(source_files("src", SOURCE_ENDINGS)),
         "src modules": len(MODULES),
-        "src statements": 24306sum(map(is_statement, nodes)),
-        "src literals": 1353sum(map(is_literal, nodes)),
+        "src statements": sum(map(is_statement, nodes)),
+        "src literals": sum(map(is_literal, nodes)),
         "lines of commands and settings": sum(
             line_count(source_files(f"src/riecjax/{room}", {".py"})) for room in ("cli", "settings")
         ),
