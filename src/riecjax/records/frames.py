@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.reading.channels import Channels, vectors
+from riecjax.records.reading.channels import Channels, check_declared, vectors
 from riecjax.records.reading.selection import record_from_channels
 from riecjax.records.reading.times import TIME_COLUMNS
 from riecjax.records.record import Record
@@ -29,10 +29,9 @@ def from_dataframe(frame: Any, settings: Frame) -> Record:
     is_time = getattr(frame.index.dtype, "kind", "O") in "mMf" and settings.time is None
     if is_time and settings.time_step is None and frame.index.name not in frame.columns:
         arrays["t"] = _numbers(frame.index)
-    for place, label in enumerate(frame.columns):
-        name = ".".join(map(str, label)) if isinstance(label, tuple) else str(label)
-        if name in map(str, [*frame.columns][:place]):
-            raise DataError(f"two columns are called '{name}'.")
+    names = [".".join(map(str, n)) if isinstance(n, tuple) else str(n) for n in frame.columns]
+    check_declared(names=names)
+    for place, name in enumerate(names):
         arrays.setdefault(name, _numbers(frame.iloc[:, place]))
     return _record(vectors(arrays), settings, settings.time)
 

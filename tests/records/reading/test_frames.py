@@ -103,3 +103,11 @@ def test_neither_library_is_imported():
     code = "import sys, riecjax.records.frames; print({'pandas', 'xarray'} & set(sys.modules))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "set()"
+
+
+def test_columns_that_are_called_alike_are_refused():
+    """Of levels that are joined one name may come of two labels."""
+    labels = pd.MultiIndex.from_tuples([("a", "b"), ("c", ""), ("a", "b")])
+    for columns, name in ((["x", "u", "x"], "x"), (labels, "a.b"), (["1", "u", 1], "1")):
+        with pytest.raises(DataError, match=f"^two columns are called '{name}'"):
+            from_dataframe(pd.DataFrame(np.eye(3), columns=columns), time_step=0.1)
