@@ -247,7 +247,7 @@ def _fitted(
     def unlikely(values: np.ndarray) -> float:
         return float(np.sum(counts * (power / fit(values) + np.log(fit(values)))))
 
-    values, information = np.ones(len(free)), np.eye(len(free))
+    values = np.ones(len(free))
     for _ in range(ROUNDS):
         weight = np.sqrt(counts) / fit(values)
         weighed, target = gains * weight[:, None], (power - given) * weight
@@ -257,12 +257,10 @@ def _fitted(
             if (aim >= 0).all():
                 break
             kept, aim = kept & (aim > 0), np.zeros(len(free))
-        shares = 0.5 ** np.arange(HALVINGS)
-        before = unlikely(values)
-        better = (v for v in (values + s * (aim - values) for s in shares) if unlikely(v) < before)
-        if (step := next(better, None)) is None:
+        steps = (values + share * (aim - values) for share in 0.5 ** np.arange(HALVINGS))
+        if (better := next((v for v in steps if unlikely(v) < unlikely(values)), None)) is None:
             break
-        values = step
+        values = better
     weighed = gains * (np.sqrt(counts) / fit(values))[:, None]
     information = weighed.T @ weighed
     size = np.sqrt(np.diagonal(information))

@@ -75,7 +75,7 @@ ESTIMATED = 1e-4
 SCATTER = 3.0
 """Standard deviations by which two levels may differ by chance."""
 INCOHERENT = 0.3
-"""Coherence with the other signals past which a shelf is of motion. That of noise is one over the
+"""Coherence with another signal past which a shelf is of motion. That of noise is one over the
 number of independent segments, 0.06 of 2000 samples."""
 
 
@@ -164,8 +164,7 @@ def floor(of: Spectra) -> Floor:
     by_chance = np.exp(SCATTER * np.sqrt(4 / max(TOP / 2 * of.freedom, 1.0)))
     if sooner > max(LEVELLED, by_chance) * later:
         return Floor(np.zeros(1), np.asarray(np.inf))
-    least = lowest(density)
-    return Floor(np.full(1, np.sqrt(least)), np.asarray(TOP * of.freedom), flat=False)
+    return Floor(np.full(1, np.sqrt(lowest(density))), np.asarray(TOP * of.freedom), flat=False)
 
 
 def lowest(density: Float[np.ndarray, " frequencies"]) -> float:

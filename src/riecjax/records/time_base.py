@@ -50,16 +50,16 @@ class TimeBase(NamedTuple):
 
     @property
     def words(self) -> tuple[str, ...]:
-        """What is said of jitter and rounding."""
-        jitter = f"time stamps jitter by {self.jitter:.2%} of a step (r.m.s.); taken as even"
-        rounding = (
+        """What is said of jitter and rounding, of which stamps have one at most."""
+        if self.jitter:
+            return (f"time stamps jitter by {self.jitter:.2%} of a step (r.m.s.); taken as even",)
+        if not self.digit:
+            return ()
+        return (
             f"time stamps are taken as {1 / self.step:.6g} Hz, rounded to {self.digit:g} s; if rows"
             f" are lost instead, bring them to {1 / self.digit:g} Hz (on the command line:"
-            f" --resample {1 / self.digit:g})"
-            if self.digit
-            else ""
+            f" --resample {1 / self.digit:g})",
         )
-        return (jitter,) * (self.jitter > 0) + (rounding,) * bool(rounding)
 
 
 def time_base(stamps: np.ndarray) -> TimeBase:

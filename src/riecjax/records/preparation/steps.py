@@ -1,7 +1,7 @@
 """From a record as read to the records that a model's equations are estimated and validated on."""
 
 import contextlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -89,29 +89,36 @@ def prepare(
         record = record.through(ops)
         words += words_of(ops)
     missing = {name: of for name, of in derivatives.items() if name not in record.arrays}
-    there = {*missing.values()} & {*record.arrays}
-    held = holding(record, there) if p.every > 1 else set[str]()
+    held = holding(record, {*missing.values()} & {*record.arrays}) if p.every > 1 else set[str]()
+    # What a held signal's derivative is the signal of is held with it.
     for name, of in missing.items():
         held |= {name} if of in held else set[str]()
-    for is_thinned in (False, True):
-        if is_thinned and p.every > 1:
-            record = record.every(p.every)
-            words.append(f"one sample of {p.every}")
-        for name, of in missing.items():
-            if (of in held) is not is_thinned:
-                continue
-            record = judged(record, "auto", of)
-            record.signal(of)  # without it there is a helpful error, and no noise to look up
-            ops, kernel = (
-                dict(differentiate.ops(record, of, name)),
-                record.noise.kernels[of].get(of),
-            )
-            if of not in derivatives and kernel is not None and kernel.shape[-1] == 1:
-                with contextlib.suppress(DataError):  # too short for them
-                    slopes = {name: local_slope(record, of)}
-                    record, ops = record.through(slopes), slopes
-            record = record if name in record.arrays else record.through(ops)
-            words += words_of(ops)
+    record, early = _with_derivatives(record, missing.keys() - held, derivatives)
+    if p.every > 1:
+        record, early = record.every(p.every), [*early, f"one sample of {p.every}"]
+    record, late = _with_derivatives(record, missing.keys() & held, derivatives)
+    return record, [*words, *early, *late]
+
+
+def _with_derivatives(
+    record: Record, names: Collection[str], derivatives: Mapping[str, str]
+) -> tuple[Record, list[str]]:
+    """The record with derivatives of these `names`, of all `derivatives`, and how each was formed,
+    in words."""
+    words = []
+    for name, of in ((name, of) for name, of in derivatives.items() if name in names):
+        record = judged(record, "auto", of)
+        record.signal(of)  # without it there is a helpful error, and no noise to look up
+        kernel = record.noise.kernels[of].get(of)
+        if of not in derivatives and kernel is not None and kernel.shape[-1] == 1:
+            with contextlib.suppress(DataError):  # too short for them
+                slope = local_slope(record, of)
+                record = record.through({name: slope})
+                words += words_of({name: slope})
+        if name not in record.arrays:
+            differences = dict(differentiate.ops(record, of, name))
+            record = record.through(differences)
+            words += words_of(differences)
     return record, words
 
 

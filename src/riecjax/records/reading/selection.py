@@ -176,13 +176,10 @@ class Selected:
                 if isinstance(by, str):
                     signal.unit = by
                 else:
+                    if clocks.is_called_time(target, {}) and by < 0:
+                        raise DataError(f"time must increase; '{name}' is scaled by {by:g}.")
                     # Scaled to seconds, whatever its name says.
-                    is_time = clocks.is_called_time(target, {})
-                    if is_time and by < 0:
-                        raise DataError(
-                            f"time must increase; got {by:g} for the scale of '{name}'."
-                        )
-                    is_time = is_time and clocks.unit_of_time(target)
+                    is_time = clocks.is_called_time(target, {}) and clocks.unit_of_time(target)
                     signal.values, signal.unit = signal.values * by, "s" if is_time else ""
             if not isinstance(by, str):
                 self.steps.append(f"{name}: column scaled by {by:g}")
