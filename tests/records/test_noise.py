@@ -232,10 +232,10 @@ def broad_motion(seed=0, size=8000):
     return {name: values[::FINE] for name, values in motion.items()}
 
 
-def together(signals, pairs, given=(), **sizes):
+def together(signals, pairs, share, given=()):
     """Judged standard deviations over the true ones, of each signal alone and by relations; and by
     how many of its standard errors the furthest of the second kind is off."""
-    rng = np.random.default_rng(7)
+    sizes, rng = {n: share * np.std(v) for n, v in signals.items()}, np.random.default_rng(7)
     noisy = {n: v + sizes[n] * rng.normal(size=v.size) for n, v in signals.items()}
     alone = judged(rx.Record(noisy, 1 / RATE), {name: sizes[name] for name in given})
     told = judged_together(alone, pairs, [*signals], given)
@@ -247,12 +247,11 @@ def together(signals, pairs, given=(), **sizes):
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.2])
 def test_sensors_of_one_motion_tell_each_other_s_noise(share):
     motion, pairs = broad_motion(), [("x", "v"), ("v", "a")]
-    sizes = {name: share * np.std(values) for name, values in motion.items()}
-    alone, told, off = together(motion, pairs, **sizes)
+    alone, told, off = together(motion, pairs, share)
     assert abs(alone["a"] - 1) > 0.25
     assert off < 3
     assert told == pytest.approx(dict.fromkeys("xva", 1.0), abs=0.2)
-    _, told, off = together(motion, pairs, ["v"], **sizes)
+    _, told, off = together(motion, pairs, share, ["v"])
     assert off < 3
     assert told["v"] == pytest.approx(1.0, rel=1e-12)
 
@@ -260,29 +259,26 @@ def test_sensors_of_one_motion_tell_each_other_s_noise(share):
 def test_a_position_and_its_acceleration_do_without_the_velocity():
     motion = broad_motion()
     signals = {name: motion[name] for name in "xa"}
-    sizes = {name: 0.05 * np.std(values) for name, values in signals.items()}
-    alone, _, off = together(signals, [("x", "v"), ("v", "a")], **sizes)
+    alone, _, off = together(signals, [("x", "v"), ("v", "a")], 0.05)
     assert alone["a"] > 2
     assert off < 3
 
 
 def test_a_gain_and_a_delay_are_no_noise():
     motion = broad_motion(1, 8001)
-    sizes = {name: 0.03 * np.std(values) for name, values in motion.items()}
     late = np.interp(np.arange(8000) + 0.7, np.arange(8001), motion["v"])
     signals = {"x": motion["x"][:8000], "v": 1.04 * late}
-    told = together(signals, [("x", "v")], x=sizes["x"], v=sizes["v"])[1]
+    told = together(signals, [("x", "v")], 0.03)[1]
     assert told == pytest.approx({"x": 1, "v": 1}, abs=0.15)
 
 
 def test_of_a_sum_the_signals_share_what_they_have_together():
     wheel, body = broad_motion(2), broad_motion(3)
     signals = {"x": wheel["x"] - body["x"], "v": wheel["v"], "w": body["v"]}
-    sizes = {name: 0.05 * np.std(values) for name, values in signals.items()}
     relation = Relation("x", (("v", 1.0), ("w", -1.0)))
-    told = together(signals, [relation], **sizes)[1]
+    told = together(signals, [relation], 0.05)[1]
     assert told["x"] == pytest.approx(1.0, abs=0.1)
-    share = np.array([sizes["v"], sizes["w"]])
+    share = np.std([signals["v"], signals["w"]], axis=1)
     both = np.linalg.norm([told["v"], told["w"]] * share) / np.linalg.norm(share)
     assert both == pytest.approx(1.0, abs=0.1)
 
@@ -292,11 +288,9 @@ def test_what_is_more_than_noise_tells_nothing():
     motion = broad_motion(4)
     swing = scipy.signal.butter(2, [8.0, 12.0], "bandpass", fs=RATE, output="sos")
     elsewhere = motion["a"] + 0.3 * np.asarray(scipy.signal.sosfilt(swing, motion["a"]))
-    sizes = {name: 0.02 * np.std(values) for name, values in motion.items()}
-    signals = {"v": motion["v"], "a": elsewhere}
-    alone, told, _ = together(signals, [("v", "a")], v=sizes["v"], a=sizes["a"])
+    alone, told, _ = together({"v": motion["v"], "a": elsewhere}, [("v", "a")], 0.02)
     assert told == alone
-    position = motion["x"] + white(sizes["x"], 1, 8000)
+    position = motion["x"] + white(0.02 * np.std(motion["x"]), 1, 8000)
     record = judged(rx.Record({"x": position, "v": np.gradient(position) * RATE}, 1 / RATE))
     assert std(judged_together(record, [("x", "v")], "xv"), "x") == std(record, "x")
 
@@ -329,5 +323,4 @@ def test_a_copy_and_an_integral_of_a_noisy_signal_hide_no_noise():
     x = scipy.integrate.cumulative_trapezoid(v, dx=1 / RATE, initial=0)
     x += 0.01 * np.std(motion["x"]) * white(1.0, 4, 8000)
     record = judged(rx.Record({"x": x, "v": v, "v_raw": v.copy()}, 1 / RATE))
-    told = judged_together(record, [("x", "v")], ["x", "v"])
-    assert std(told, "v") == pytest.approx(size, rel=0.1)
+    assert std(judged_together(record, [("x", "v")], "xv"), "v") == pytest.approx(size, rel=0.1)
