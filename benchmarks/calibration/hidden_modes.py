@@ -23,7 +23,7 @@ import scipy.signal
 from tests.machines import BODY, noisy
 
 import riecjax as rx
-from benchmarks.calibration.noise_problems import car_motion
+from benchmarks.calibration.noise_problems import car_motion, one_by_one
 from benchmarks.recorded import FOLDER, write_json
 from riecjax.elements import ModeEvidence
 from riecjax.estimation import element_evidence
@@ -106,9 +106,8 @@ def mount_roads(
         return {**{name: record[name] for name in SENSORS}, "effective": work}
 
     made = over_keys(road, jax.random.key(18), count, source, chunk=20)
-    made = {name: np.asarray(values) for name, values in made.items()}
-    effective = made.pop("effective")
-    return [{name: values[i] for name, values in made.items()} for i in range(count)], effective
+    effective = np.asarray(made.pop("effective"))
+    return one_by_one(made), effective
 
 
 def body_motion(

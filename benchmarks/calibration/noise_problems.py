@@ -44,9 +44,13 @@ CARS: dict[str, dict[str, float]] = {
 def car_roads(car: str, roads: int) -> list[dict[str, np.ndarray]]:
     """The source model's sensors on white-noise roads of 40 s at 200 Hz, as the command draws."""
     source = rx.find_model("quarter-car-source").build_system(CARS[car])
-    made = over_keys(_car_road, jax.random.key(0), roads, source, chunk=20)
-    made = {name: np.asarray(values) for name, values in made.items()}
-    return [{name: values[i] for name, values in made.items()} for i in range(roads)]
+    return one_by_one(over_keys(_car_road, jax.random.key(0), roads, source, chunk=20))
+
+
+def one_by_one(batch: Mapping[str, Any]) -> list[dict[str, np.ndarray]]:
+    """Signals of each member of a batch."""
+    arrays = {name: np.asarray(values) for name, values in batch.items()}
+    return [dict(zip(arrays, each)) for each in zip(*arrays.values(), strict=True)]
 
 
 def _car_road(key: Key[Array, ""], source: AbstractSystem) -> dict[str, Array]:
@@ -71,9 +75,7 @@ def hidden_car_roads(roads: int) -> list[dict[str, np.ndarray]]:
         record = car_motion(drive, quarter_car_source(car), TABLE_2.sample_count)
         return {name: record[name] for name in (*CAR_SENSORS, *ACCELERATIONS)}
 
-    made = over_keys(road, jax.random.key(56), roads, None, chunk=20)
-    made = {name: np.asarray(values) for name, values in made.items()}
-    return [{name: values[i] for name, values in made.items()} for i in range(roads)]
+    return one_by_one(over_keys(road, jax.random.key(56), roads, None, chunk=20))
 
 
 def car_motion(key: Key[Array, ""], source: AbstractSystem, count: int) -> rx.Record:

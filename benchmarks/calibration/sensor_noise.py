@@ -26,6 +26,7 @@ from benchmarks.calibration import noise_problems as problems
 from benchmarks.calibration import noise_table
 from benchmarks.calibration.noise_answers import (
     FEWEST,
+    Fits,
     Run,
     accuracy,
     answered,
@@ -101,18 +102,20 @@ def quarter_car(run: Run) -> dict[str, Any]:
         of["0 %"] = {"coverage": coverage(hits, clean.names, (0.93, 0.97), (0.9, 1.0))}
         for noise in (0.01, 0.05, 0.2):
             found = fit_all(records(noise), fit)
-            shift = (found.theta - clean.theta[found.kept]) / found.errors
-            most = 0.4 if noise == 0.2 else 0.2
-            errors = shift.std(axis=0) / np.sqrt(len(shift))
             of[f"{100 * noise:g} %"] = {
                 "refused": judged(found.refused, 0),
-                "shift": {
-                    n: judged(s, most, -most, e)
-                    for n, s, e in zip(found.names, shift.mean(axis=0), errors)
-                },
+                "shift": shifts(found, clean, 0.4 if noise == 0.2 else 0.2),
                 "coverage": coverage(found.covers(target), found.names, (0.93, 0.97), (0.9, 1.0)),
             }
     return report
+
+
+def shifts(found: Fits, clean: Fits, most: float | None) -> dict[str, dict[str, Any]]:
+    """By how many standard errors noise moves each parameter from that of the same road without."""
+    shift = (found.theta - clean.theta[found.kept]) / found.errors
+    errors = shift.std(axis=0) / np.sqrt(len(shift))
+    each = zip(found.names, shift.mean(axis=0), errors)
+    return {name: judged(mean, most, most and -most, error) for name, mean, error in each}
 
 
 def hidden_cars(run: Run) -> dict[str, Any]:
@@ -146,14 +149,9 @@ def hidden_cars(run: Run) -> dict[str, Any]:
                     options = run.options if way == "judged" else {"noise": said}
                     fits.append(partial(rx.identify, model, measured, **options))
                 found = fit_all(fits, lambda fit: fit())
-                shift = (found.theta - clean.theta[found.kept]) / found.errors
-                errors = shift.std(axis=0) / np.sqrt(len(shift))
                 of[f"{100 * noise:g} %, {way}"] = {
                     "refused": judged(found.refused, None if most is None else 0),
-                    "shift": {
-                        n: judged(s, most, most and -most, e)
-                        for n, s, e in zip(found.names, shift.mean(axis=0), errors)
-                    },
+                    "shift": shifts(found, clean, most),
                 }
     return report
 
